@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
-from data.compiled import njit
 from data.inputs import FrameObservations, Increment, IntArray
 from data.se2 import Array, BoolArray
 from data.sensors import BEARING, MIN_RANGE, RANGE_BEARING, RELATIVE_POINT, Sensor
@@ -19,21 +18,13 @@ FEW = 100  # number of landmarks up to which a search takes longer than to expec
 
 def polar_sigma(sensor: Sensor, z_hat: Array, HPHt: Array) -> Array:
     """Standard deviations (n, 2) of range [m] and bearing [rad] of expected measurements with covariances (n, 2, 2)."""
-    sigma = np.empty((len(z_hat), 2))
-    _polar_sigma(sensor.kind == RELATIVE_POINT, np.array(z_hat), np.array(HPHt), sigma)
-    return sigma
-
-
-@njit
-def _polar_sigma(cartesian: bool, z_hat: Array, P: Array, sigma: Array) -> None:
-    for i in range(len(z_hat)):
-        along, across = P[i, 0, 0], P[i, 1, 1]
-        if cartesian:
-            r, trace = max(math.hypot(z_hat[i, 0], z_hat[i, 1]), MIN_RANGE), along + across
-            x, y = z_hat[i, 0] / r, z_hat[i, 1] / r
-            along = x * x * along + x * y * (P[i, 0, 1] + P[i, 1, 0]) + y * y * across
-            across = (trace - along) / (r * r)
-        sigma[i, 0], sigma[i, 1] = math.sqrt(max(along, 0.0)), math.sqrt(max(across, 0.0))
+    along, across = HPHt[:, 0, 0], HPHt[:, 1, 1]
+    if sensor.kind == RELATIVE_POINT:
+        r, trace = np.maximum(np.hypot(z_hat[:, 0], z_hat[:, 1]), MIN_RANGE), along + across
+        x, y = z_hat[:, 0] / r, z_hat[:, 1] / r
+        along = x * x * along + x * y * (HPHt[:, 0, 1] + HPHt[:, 1, 0]) + y * y * across
+        across = (trace - along) / (r * r)
+    return np.asarray(np.sqrt(np.maximum(np.stack([along, across], axis=1), 0.0)))
 
 
 def in_view(sensor: Sensor, z_hat: Array, HPHt: Array) -> BoolArray:

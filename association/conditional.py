@@ -13,7 +13,8 @@ import numpy as np
 
 from association.expectation import Expectation
 from association.jcbb import search
-from data.blocks import diagonal_blocks, of_points
+from data.blocks import cholesky, diagonal_blocks, of_points
+from data.compiled import njit
 from data.inputs import IntArray
 from data.result import DISCARD, NEW
 from data.se2 import Array, BoolArray
@@ -42,17 +43,43 @@ def conditional_innovations(e: Expectation, rows: IntArray, chosen: IntArray) ->
     Observations `rows` (k,) are paired with the candidates `chosen` (k,). Raises SingularInnovationError if their joint
     covariance is not positive definite.
     """
-    k = len(rows)
-    if not k:
-        return ConditionalInnovations(np.empty((0, 2)), np.empty((0, 2, 2)))
-    nu, S = e.joint_innovation(rows, chosen)
-    try:
-        back = np.linalg.inv(np.linalg.cholesky(S))
-    except np.linalg.LinAlgError:
-        raise e.singular(chosen) from None
-    information = diagonal_blocks(back.T @ back)
-    left = (back.T @ (back @ nu)).reshape(k, 2, 1)
-    return ConditionalInnovations(np.linalg.solve(information, left)[:, :, 0], information)
+    pairing = ConditionalInnovations, rows.tobytes(), chosen.tobytes()
+    found = e.formed.get(pairing)
+    if found is None:
+        found = ConditionalInnovations(np.empty((len(rows), 2)), np.empty((len(rows), 2, 2)))
+        nu, S = e.joint_innovation(rows, chosen)
+        if not _given_others(nu.copy(), S.copy(), *found):
+            raise e.singular(chosen)
+        e.formed[pairing] = found
+    return found
+
+
+@njit
+def _given_others(nu: Array, L: Array, innovation: Array, information: Array) -> bool:
+    """Fill both from nu (2k,) and its covariance L (2k, 2k), which is overwritten; False if that is singular."""
+    n = len(nu)
+    if not cholesky(L, L, n):
+        return False
+    for j in range(n):  # its inverse, and nu times that
+        L[j, j] = 1.0 / L[j, j]
+        for i in range(j + 1, n):
+            total = 0.0
+            for c in range(j, i):
+                total -= L[i, c] * L[c, j]
+            L[i, j] = total / L[i, i]
+    for i in range(n - 1, -1, -1):
+        nu[i] *= L[i, i]
+        for c in range(i):
+            nu[i] += L[i, c] * nu[c]
+    for k in range(n // 2):
+        i, xx, xy, yy, x, y = 2 * k, 0.0, 0.0, 0.0, 0.0, 0.0
+        for r in range(i, n):
+            a, b = L[r, i], L[r, i + 1] if r > i else 0.0
+            xx, xy, yy, x, y = xx + a * a, xy + a * b, yy + b * b, x + a * nu[r], y + b * nu[r]
+        det = xx * yy - xy * xy
+        innovation[k, 0], innovation[k, 1] = (yy * x - xy * y) / det, (xx * y - xy * x) / det
+        information[k, 0, 0], information[k, 0, 1], information[k, 1, 0], information[k, 1, 1] = xx, xy, xy, yy
+    return True
 
 
 def prune(e: Expectation, decisions: IntArray, gate: float | None, share: float = 1.0) -> IntArray:

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
+from typing import Any
 
 import numpy as np
 import scipy
@@ -124,6 +125,7 @@ class Expectation:
     elsewhere: Callable[[Array], Expectation] | None = None  # linearized at a pose (3,): h(pose) + H (mean - pose)
     dims: int = 2  # numbers measured of each; 1: bearings or ranges alone (see `data.sensors`)
     unlike: Unlike | None = None  # (m, n) terms of appearance in the distances; None: there is none
+    formed: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)  # of pairings before
 
     @classmethod
     def from_arrays(
@@ -230,15 +232,22 @@ class Expectation:
 
     def paired(self, decisions: IntArray) -> tuple[IntArray, IntArray]:
         """Rows (k,) of the paired observations, and the candidates (k,) they are paired with."""
-        rows = np.flatnonzero(decisions >= 0)
-        order = np.argsort(self.number, kind="stable")
-        return rows, order[np.searchsorted(self.number, decisions[rows], sorter=order)]
+        key = decisions.tobytes()
+        if key not in self.formed:
+            rows, order = np.flatnonzero(decisions >= 0), np.argsort(self.number, kind="stable")
+            self.formed[key] = rows, order[np.searchsorted(self.number, decisions[rows], sorter=order)]
+        found: tuple[IntArray, IntArray] = self.formed[key]
+        return found
 
     def joint_innovation(self, rows: IntArray, chosen: IntArray) -> tuple[Array, Array]:
         """Innovation (2k,) of pairing observations `rows` with candidates `chosen`, and its covariance (2k, 2k)."""
-        S = self.joint(chosen)
-        add_to_diagonal(S, self.R[rows])
-        return self.residual(self.z[rows], self.z_hat[chosen]).ravel(), S
+        pairing = rows.tobytes(), chosen.tobytes()
+        if pairing not in self.formed:
+            S = self.joint(chosen)
+            add_to_diagonal(S, self.R[rows])
+            self.formed[pairing] = self.residual(self.z[rows], self.z_hat[chosen]).ravel(), S
+        found: tuple[Array, Array] = self.formed[pairing]
+        return found
 
     def singular(self, chosen: IntArray) -> SingularInnovationError:
         """The error where the joint covariance of candidates `chosen` (k,) is not positive definite."""

@@ -213,8 +213,10 @@ def about_origin(lines: Array, covariance: Array, point: Array) -> tuple[Array, 
 
 def _pair(pose: Array, other: Array) -> tuple[Array, Array]:
     """A row of pose per row of `other`: copies, since read-only arrays would compile the kernels once more."""
-    rows = np.array(np.atleast_2d(np.asarray(other, float)), order="C")
-    return np.array(np.broadcast_to(np.asarray(pose, float), (len(rows), 3)), order="C"), rows
+    rows = np.array(other, float, order="C", ndmin=2)
+    poses = np.empty((len(rows), 3))
+    poses[:] = pose
+    return poses, rows
 
 
 @dataclass(frozen=True)

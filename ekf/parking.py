@@ -1,22 +1,13 @@
 """Parking: landmarks leave the active state of EKF-SLAM and return, without approximation.
 
 Source: Guivant & Nebot 2001, "Optimization of the simultaneous localization and map-building algorithm for real-time
-implementation" (compressed EKF). A is the active part (pose and active landmarks), B the parked landmarks. While no
-measurement involves B, the evolution of B follows from that of A. With A0 the active part at an epoch, C = P_BA0, and
-F, H, S, K, nu of the steps since then:
+implementation" (compressed EKF); docs/notes/large-logs.md derives what is used here. Behind its active state A, whose
+covariance at the epoch's begin is P_A0A0 = L L', the filter carries y = L^-1 A0, like a landmark, with mean 0, P_yA0 =
+L' and P_yy = 0 in the beginning (P_yy itself need not be a covariance). Parked landmarks B follow from it:
 
-    P_AB = Phi C'                P_BB = P_BB0 - C Psi C'                   x_B = x_B0 + C theta
-    predict:  Phi <- F Phi       new landmark: Phi <- [Phi; Gx Phi]
-    update:   Psi += Phi' H' S^-1 H Phi,   theta += Phi' H' S^-1 nu,   Phi <- (I - K H) Phi
+    x_B = m + D y,    P_BA = D P_yA,    P_BB = P + D P_yy D',    D = P_BA0 L'^-1
 
-These are the Kalman recursions for a vector without measurements of its own, with mean 0, cross-covariance I with A0
-and covariance 0 at the start. Psi is ill-conditioned, and C Psi C' a small difference of large terms. So the filter
-carries y = L' of that vector, with P_A0A0 = L L' and D = C L'^-1, behind its active state, like a landmark:
-
-    x_B = m + D y,    P_BA = D P_yA,    P_BB = P + D P_yy D'
-
-y begins with mean 0, P_yA0 = L', P_yy = 0: it is L^-1 A0, whose covariance is P_yy + I. (P_yy itself need not be a
-covariance.) A landmark may move within an epoch:
+A landmark may move within an epoch:
 
     parked p:    its entries move from A to the end of the buffers, behind y (a recent landmark), and back to A if it is
                  restored before the epoch ends;

@@ -1,11 +1,7 @@
 """Appearance in an open log folder, format 2: descriptors and classes of observations and landmarks.
 
-    observations.csv    descriptor, blank where not measured [descriptor_sigma]; class, a word, blank where not read
-                        [class_error]
-    landmarks.csv       descriptor, class: as known, blank where not
-    [sensor]            descriptor_sigma, class_error: defaults for the rows of a sensor
-
-A class is read wrongly with probability class_error, above 0 and below 0.5, as each other class of the log alike.
+docs/notes/appearance.md lists the columns. A class is read wrongly with probability class_error, above 0 and below 0.5,
+as each other class of the log alike.
 """
 
 from collections.abc import Sequence

@@ -1,22 +1,9 @@
 """The tables of an open log, and its inputs and truth from them, whether they come from files or from arrays.
 
-    frames.csv          t,dx,dy,dtheta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt        row 0: zero increment
-    or odometry.csv     t,v,omega                                           preintegrated on loading
-    observations.csv    frame,z1,z2[,r11,r12,r22][,true_id][,label]         with odometry.csv: t instead of frame;
-                        in format 2 also sensor, and blank fields (see `sensors`), and descriptor, class (see
-                        `appearance`)
-    truth.csv           x,y,theta per frame, blank or nan where unknown     with odometry.csv: t,x,y,theta; optional
-    landmarks.csv       id,x,y[,sx,sy][,true_x,true_y]                      in format 2 also kind, descriptor, class;
-                        optional
-    fixes.csv, closures.csv     see `poses`                                 format 2
-
-Columns may have any order; unknown ones are ignored. A motion prior in log.toml replaces increments and odometry.
-frames.csv of a log with relations may have a column stamp: the recorded stamps, which need not increase. true_id: -1
-false alarm, blank unknown. label: the sensor's, where it may differ from true_id. With odometry.csv the frames are the
-instants with observations, fixes or ends of closures, and keyframes where those are more than 1 s apart.
-
-sx, sy: standard deviations [m] of x and y, blank or 0 where exact. true_x, true_y: of a simulated log, blank where
-unknown; without these columns the map is the truth.
+docs/logs.md lists their columns, which may have any order; unknown ones are ignored. frames.csv of a log with relations
+may have a column stamp: the recorded stamps, which need not increase. true_id: -1 false alarm, blank unknown. With
+odometry.csv the frames are the instants with observations, fixes or ends of closures, and keyframes where those are
+more than 1 s apart. true_x, true_y of landmarks.csv: of a simulated log; without them the map is the truth.
 """
 
 from collections.abc import Mapping, Sequence

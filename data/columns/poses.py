@@ -1,27 +1,7 @@
-"""Measured poses of an open log folder: `fixes.csv` and `closures.csv`.
+"""Measured poses of an open log folder: `fixes.csv`, absolute; `closures.csv`, of frame2 in the frame of frame1.
 
-    fixes.csv     frame,kind[,source][,x][,y][,theta][,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt][,true_inlier]   ascending by frame
-    closures.csv  frame1,frame2,dx,dy,dtheta[,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt][,source][,true_inlier]   in any order
-
-With odometry.csv: t, t1, t2 [s] instead of frame, frame1, frame2; these instants are frames, too. source: the name of a
-[[fix]] or [[closure]] in log.toml, blank for the first. true_inlier: 1, or 0 for an outlier, blank unknown (for scoring
-alone). Without a covariance: the sigma of the source.
-
-A fix is an absolute measurement of the pose, such as GPS, a compass, or motion capture. kind: position (x, y), heading
-(theta) or pose (x, y, theta), in the world frame [m, rad]. Its fields that it does not measure are blank.
-
-    [[fix]]
-    name = "gps"            a source measures p + R(theta) lever and theta + rotation
-    lever = [0.3, 0.0]      m, its place in the body frame
-    rotation = 0.0          rad, its direction in the body frame
-    sigma = [0.5, 0.5]      of x, y [m]; one number: of theta [rad]; three: of x, y, theta
-
-A closure is the pose of frame2 in the frame of frame1 [m, m, rad], such as a loop closure, a scan match, an edge of a
-pose graph, or a second odometry, with the covariance of its additive error there.
-
-    [[closure]]
-    name = "laser"
-    sigma = [0.05, 0.05, 0.01]      of dx, dy [m], dtheta [rad]; optional
+docs/notes/several-sensors.md has their columns and the tables [[fix]] and [[closure]]. The covariance of a closure is
+that of its additive error in the frame of frame1.
 """
 
 from collections.abc import Sequence

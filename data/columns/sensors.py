@@ -1,16 +1,6 @@
 """Sensors of landmarks in `log.toml`, and what the rows of observations.csv measure with them.
 
-    [[sensor]]          or [sensor], where there is one
-    name = "camera"     needed where there are several, as column sensor of observations.csv names them (blank: the
-                        first); format 2
-    kind = "bearing"    "range_bearing", "relative_point", "line"; in format 2 also "bearing" and "range", whose number
-                        is z1 (and its variance r11), with z2, r12 and r22 blank
-    sees = "tree"       kind of landmark that it observes, as in column kind of landmarks.csv (default: all); format 2
-    sigma = [0.02]      default noise: one number for each that it measures
-    descriptor_sigma, class_error: of what landmarks look like (see `appearance`); format 2
-    max_range, min_angle, max_angle or field_of_view, rotation, translation: see `header`
-
-Observations of a frame are sorted by sensor on reading.
+docs/logs.md and docs/notes/several-sensors.md list the keys. Observations of a frame are sorted by sensor on reading.
 """
 
 import math

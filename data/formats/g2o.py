@@ -1,18 +1,9 @@
-"""Graphs in the plane as logs. `data.formats.graph_file` reads g2o, Toro and text of gtsam and iSAM, with more tags
-than these; logs are written as g2o, by their labels or by the poses and pairings of a run.
+"""Graphs in the plane as logs. `data.formats.graph_file` reads g2o, Toro and text of gtsam and iSAM, and lists their
+tags; logs are written as g2o, by their labels or by the poses and pairings of a run. EDGE_PRIOR_SE2 of the first pose
+is the prior.
 
-    VERTEX_SE2 id x y theta                        pose [m, m, rad]
-    VERTEX_XY id x y                               landmark [m]
-    FIX id [id ...]                                fixed vertices
-    EDGE_PRIOR_SE2 i x y theta I11 I12 I13 I22 I23 I33       measured pose; that of the first pose is its prior
-    EDGE_SE2 i j dx dy dtheta I11 I12 I13 I22 I23 I33        pose j in the frame of pose i
-    EDGE_SE2_XY i l x y I11 I12 I22                landmark l in the frame of pose i
-    EDGE_BEARING_SE2_XY i l bearing I              direction of landmark l from pose i
-    EDGE_RANGE_SE2_XY i l range I                  its distance
-
-I: information matrix, upper triangle row by row. The error of an EDGE_SE2 is that of the relative pose seen from its
-measured end, (R(dtheta)' (t - t_measured), theta - theta_measured); errors of landmark edges are additive (g2o's
-types_slam2d).
+The error of an EDGE_SE2 is that of the relative pose seen from its measured end, (R(dtheta)' (t - t_measured),
+theta - theta_measured); errors of landmark edges are additive (g2o's types_slam2d).
 """
 
 from __future__ import annotations

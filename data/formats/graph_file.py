@@ -1,17 +1,5 @@
 """Files of factor graphs, in the plane and in space: g2o, Toro, iSAM. Lines are kept for writing.
-
-    VERTEX_SE2 | VERTEX2 id x y theta                              VERTEX_XY id x y
-    VERTEX_SE3:QUAT id x y z qx qy qz qw                           VERTEX_TRACKXYZ id x y z
-    VERTEX3 id x y z roll pitch yaw                                FIX id [id ...]
-    EDGE_SE2 i j x y theta I11 I12 I13 I22 I23 I33                 EDGE_SE2_XY | LANDMARK2 i l x y I11 I12 I22
-    EDGE2 i j x y theta I11 I12 I22 I33 I13 I23                    EDGE_BEARING_SE2_XY | EDGE_RANGE_SE2_XY i l z I
-    BR i l bearing range sigma sigma                               PARAMS_SE3OFFSET id x y z qx qy qz qw
-    EDGE_SE3:QUAT i j x y z qx qy qz qw I (21)                     EDGE3 i j x y z roll pitch yaw I (21)
-    EDGE_SE3_TRACKXYZ i l parameter x y z I (6)                    PARAMS_SE2OFFSET id x y theta
-    EDGE_SE2_OFFSET i j from to x y theta I (6)                    EDGE_SE2_POINTXY_OFFSET i l parameter x y I (3)
-    EDGE_PRIOR_SE2 i x y theta I (6)                               EDGE_PRIOR_SE2_XY i x y I (3)
-    EDGE_SE3_PRIORXYZ i x y z I (6)
-    ODOMETRY | CONSTRAINT i j x y theta N11 N12 N13 N22 N23 N33    LANDMARK i l x y N11 N12 N22
+docs/notes/audit.md lists the lines that are read.
 
 I: information, upper triangle row by row; in space translation first. As gtsam's reader, and unlike g2o, the rotation's
 information is of the angle, not of the quaternion's half angle. Poses and points have ids of their own. An edge without
@@ -47,10 +35,12 @@ EDGES = {
     "ODOMETRY": (3, 3, POSE2, POSE2), "CONSTRAINT": (3, 3, POSE2, POSE2), "CONSTRAINT2": (3, 3, POSE2, POSE2),
     "LANDMARK": (2, 2, POSE2, POINT2), "EDGE_SE2_OFFSET": (3, 3, POSE2, POSE2),
     "EDGE_SE2_POINTXY_OFFSET": (2, 2, POSE2, POINT2),
+    "EDGE_SE2_SWITCHABLE": (3, 3, POSE2, POSE2), "EDGE_SE3_SWITCHABLE": (7, 6, POSE3, POSE3),
     "EDGE_SE3:QUAT": (7, 6, POSE3, POSE3), "EDGE3": (6, 6, POSE3, POSE3), "EDGE_SE3_TRACKXYZ": (3, 3, POSE3, POINT3),
 }  # fmt: skip
 """Measured values, residuals, and the kinds of both ends."""
-IDS = {"EDGE_SE3_TRACKXYZ": 3, "EDGE_SE2_POINTXY_OFFSET": 3, "EDGE_SE2_OFFSET": 4}
+SWITCHED = ("EDGE_SE2_SWITCHABLE", "EDGE_SE3_SWITCHABLE")
+IDS = {"EDGE_SE3_TRACKXYZ": 3, "EDGE_SE2_POINTXY_OFFSET": 3, "EDGE_SE2_OFFSET": 4, **dict.fromkeys(SWITCHED, 3)}
 """Ids of an edge and of its parameters, where these are not two."""
 PRIORS = {"EDGE_PRIOR_SE2": 3, "EDGE_PRIOR_SE2_XY": 2, "EDGE_SE3_PRIORXYZ": 3}  # measured values
 IN_SPACE = "EDGE_SE3_PRIORXYZ"
@@ -281,6 +271,8 @@ def _edge(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
         edge = replace(edge, information=_stated(graph, edge, values[measured:]))
     if tag == "EDGE_SE3_TRACKXYZ":
         return replace(edge, parameter=keys[2])
+    if tag in SWITCHED:
+        return edge
     for key in keys[2:]:
         if key not in graph.offsets:
             raise DataError.at(path, f"{tag}: no PARAMS_SE2OFFSET {key}, the sensor's place on the robot", line=line)

@@ -1,6 +1,12 @@
-"""Messages of ROS printed as YAML (`rostopic echo`, `ros2 topic echo`) as rows of a table."""
+"""Rows of tables: messages that ROS printed as YAML (`rostopic echo`), and rows of one kind of several."""
 
 import re
+from collections import Counter
+from collections.abc import Sequence
+from itertools import zip_longest
+from pathlib import Path
+
+from data.csv_table import is_number
 
 
 def numbered_rows(text: str) -> list[tuple[int, str]]:
@@ -49,3 +55,42 @@ def _stamped(fields: dict[str, str]) -> dict[str, str]:
         else:
             out[stamp if part in ("secs", "sec") else name] = value
     return out
+
+
+def file_and_word(path: Path) -> tuple[Path, str]:
+    """The file of FILE:WORD, and the word that its rows hold; empty: all rows."""
+    name, colon, word = str(path).rpartition(":")
+    return (Path(name), word) if colon and not path.exists() and Path(name).is_file() else (path, "")
+
+
+def with_word(lines: list[tuple[int, str]], word: str) -> list[tuple[int, str]]:
+    """The numbered lines with a word as a field, below a header of another kind; all without a word."""
+    kept = [(i, line) for i, line in lines if not word or word in re.split(r"[\s,;]+", line.strip())]
+    head = [pair for pair in lines if pair[1].strip()][:1] if word and kept else []
+    return [*(pair for pair in head if pair[0] < kept[0][0] and not re.search(r"\d", pair[1])), *kept]
+
+
+def kinds_of(path: Path, rows: Sequence[Sequence[str]]) -> str:
+    """What to type where rows hold one of few words each, as the names of sources: of one kind; else nothing."""
+    for column in zip_longest(*rows, fillvalue=""):
+        kinds = Counter(column)
+        some = [kind for kind in kinds if kind and kinds[kind] > 1]
+        whole = sum(kinds[kind] for kind in some) >= len(rows) - 1  # but for a header
+        if whole and not any(map(is_number, some)) and 1 < len(some) < len(rows) / 2:
+            listed = ", ".join(f"{kind} ({kinds[kind]})" for kind in some)
+            return f"; rows hold {listed[:200]}: name those of one kind, as in {path}:{some[0]}"
+    return ""
+
+
+def whole_names(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """Names of a header; where some are repeated, each with that of the last blank column before it, which stands for
+    the message that it is of: `position,x,y,orientation,x`.
+    """
+    if len(set(names)) == len(names):
+        return tuple(names)
+    of, out = "", []
+    for j, name in enumerate(names):
+        blank = all(j < len(row) and not row[j] for row in rows)
+        of = name if blank else of
+        out.append(name if blank or not of else f"{of}.{name}")
+    return tuple(out)

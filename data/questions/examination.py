@@ -1053,7 +1053,7 @@ def _share(
     off, e = off[rows], e[rows]
     if aside is not None and len(e):
         M, both = (aside / sigma[:, :, None])[rows].reshape(2 * len(e), -1), np.stack([off.ravel(), e.ravel()], axis=1)
-        off, e = (both - M @ np.linalg.lstsq(M, both)[0]).T.reshape(2, -1, 2)
+        off, e = (both - M @ np.linalg.lstsq(M, both, rcond=None)[0]).T.reshape(2, -1, 2)
     length = np.maximum(np.hypot(*e.T), TINY)
     along = np.sum(e * off, axis=1) / length
     before, after = float(along @ along), float(np.sum((along - length) ** 2))

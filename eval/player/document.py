@@ -81,14 +81,6 @@ def company_of(group: Sequence[Trial], trials: Sequence[Trial]) -> Any:
     return next((found for of in of_all("company") if (found := of(group, trials)) is not None), None)
 
 
-def write_player(folder: Path, trials: Sequence[Trial], setup: Setup, company: Any = None) -> Path:
-    """Write the player of trials on one log (one of `played`) into a result folder."""
-    path = folder / player_of(trials[0].log.name)
-    path.parent.mkdir(exist_ok=True)
-    write_page(path, trials, setup, company)
-    return path
-
-
 def write_page(path: Path, trials: Sequence[Trial], setup: Setup, company: Any = None) -> None:
     """Write the player of trials on one log, with the other robots of `company_of`, to a file."""
     page = document(trials[0].log.name, [scene(trials, setup, company)])

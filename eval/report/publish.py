@@ -19,7 +19,7 @@ from eval.figures.style import save_for_page
 from eval.plan.experiment import MISSING_RUN, Unfinished
 from eval.plan.flags.table import Execution, Output
 from eval.plan.work import Job, work
-from eval.player.document import company_of, played, write_player
+from eval.player.document import company_of, played, player_of, write_page
 from eval.referee import result_files
 from eval.referee.ambiguity import ambiguous
 from eval.referee.confusion import OUTCOMES
@@ -73,8 +73,11 @@ def publish(
         length = WRITING * len(trial.log.recorded)
         jobs.append(Job((i, RUN_FILES), publish_runs, (folder, output, trial), math.inf if output.animate else length))
     for group in () if output.no_plots else played(trials):
-        owner, length = (trials.index(group[0]), PLAYER), WRITING * len(group[0].log.recorded)
-        jobs.append(Job(owner, write_player, (folder, group, setup, company_of(group, trials)), length))
+        owner, log = (trials.index(group[0]), PLAYER), group[0].log
+        page = folder / player_of(log.name)
+        page.parent.mkdir(exist_ok=True)
+        given = page, group, setup, company_of(group, trials)
+        jobs.append(Job(owner, write_page, given, WRITING * len(log.recorded)))
 
     def missing(owner: tuple[int, int], why: Notice) -> None:
         trial = trials[owner[0]]

@@ -10,6 +10,7 @@ import pandas as pd
 
 from data.command import stretch
 from data.errors import DataError
+from data.formats.messages import file_and_word
 from data.formats.results.bags import file_and_topic, is_bag
 from data.formats.results.reading import read_path
 from data.formats.results.space import ignored
@@ -94,7 +95,7 @@ def scored(file: str, truth: str, reading: Scoring) -> Scored:
     path, given = Path(truth), None
     excluded = tuple(stretch(text) for text in reading.exclude_truth)
     asked: TruePath | None
-    if is_bag(file_and_topic(truth)[0]) or path.is_file():
+    if is_bag(file_and_topic(truth)[0]) or file_and_word(path)[0].is_file():
         given = true_path(truth, [ESTIMATE], reading)
         log, asked = screened(truth_log(path.stem, given), excluded, keep=True), TruePath.of(given)
     elif path.exists() or is_world(truth):

@@ -379,26 +379,21 @@ def forward(s: Structure, t: Triangle, right: Array, some: BoolArray) -> Array:
     """Solution (N, c) of  R' y = right, which is overwritten; products of its columns are those of `right` with the
     covariance between. `some` (V,): positions at which `right` is not zero; those above them are added.
     """
-    y = np.zeros_like(right)
+    y = np.zeros(right.shape)
     first_of, parent, start, after = s.column, s.parent, s.start, s.after
     R, S, at_R, at_S = t.R, t.S, t.at_R, t.at_S
     c = right.shape[1]
     for v in range(len(parent)):
         if not some[v]:
             continue
-        p, w = first_of[v + 1] - first_of[v], start[v + 1] - start[v]
-        z = right[first_of[v] : first_of[v + 1]].copy()
+        at, p, w = first_of[v], first_of[v + 1] - first_of[v], start[v + 1] - start[v]
         for j in range(p):
             diagonal = R[at_R[v] + j * p + j]
-            if diagonal == 0.0:
-                z[j] = 0.0
-                continue
-            for i in range(j):
-                a = R[at_R[v] + i * p + j]
-                for q in range(c):
-                    z[j, q] -= a * z[i, q]
-            z[j] /= diagonal
-        y[first_of[v] : first_of[v + 1]] = z
+            for q in range(c if diagonal != 0.0 else 0):
+                total = right[at + j, q]
+                for i in range(j):
+                    total -= R[at_R[v] + i * p + j] * y[at + i, q]
+                y[at + j, q] = total / diagonal
         if parent[v] < 0:
             continue
         some[parent[v]] = True
@@ -407,7 +402,7 @@ def forward(s: Structure, t: Triangle, right: Array, some: BoolArray) -> Array:
             for j in range(p):
                 a = S[at_S[v] + j * w + i]
                 for q in range(c):
-                    right[u, q] -= a * z[j, q]
+                    right[u, q] -= a * y[at + j, q]
     return y
 
 

@@ -124,3 +124,27 @@ def test_paths_of_a_file_of_arrays(tmp_path, capsys, suffix):
     keys = ["estimate.x", "estimate.y", "truth.x", "truth.y"]
     assert score([str(file), "--columns", ",".join(f"{k}={n}" for k, n in zip(keys, names, strict=True))]) == 0
     assert "rmse_position_m 0.1\n" in capsys.readouterr().out
+
+
+def test_sources_of_rows_are_told_apart_by_a_word(scored, tmp_path):
+    rows = [
+        f"{t:.9g},{who},{x:.9g},{y:.9g}"
+        for who, path in (("odom", MINE), ("gt", TRUE))
+        for t, (x, y, _) in zip(T, path)
+    ]
+    text = "\n".join(["time,source,x [mm],y [mm]", *rows])
+    assert "rows hold odom (60), gt (60): name those of one kind, as in" in scored(text, text, wrong=True)
+    files = [f"{tmp_path}/0.csv:{who}" for who in ("odom", "gt")]
+    assert score([*files, "--columns", "x=3,y=y [mm]"]) == 0
+
+
+def test_names_that_repeat_are_of_the_blank_column_before_them(scored):
+    head = "header,stamp,secs,nsecs,pose,position,x,y,z,orientation,x,y,z,w,covariance,twist,linear,x,y,z"
+    turned = (
+        (int(t), round(t % 1 * 1e9), x, y, math.sin(a / 2), math.cos(a / 2))
+        for t, (x, y, a) in zip(T.tolist(), MINE.tolist(), strict=True)
+    )
+    rows = [f',,{s},{ns},,,{x!r},{y!r},0,,0,0,{z!r},{w!r},"[0.0, 1.0]",,,7,8,9' for s, ns, x, y, z, w in turned]
+    values = scored("\n".join([head, *rows]), table(WHOLE | {"x": TRUE[:, 0]}))
+    assert values["rmse_position_m"] == pytest.approx(0.1, rel=1e-6)
+    assert values["rmse_heading_deg"] < 1e-4

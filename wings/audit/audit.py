@@ -2,21 +2,10 @@
 
 The factors that contradict all others: the fewest errors that explain every rejection.
 
-Data snooping (Baarda 1968): leave out the factor of least p value, optimize the rest again, and repeat until nothing is
-rejected. The graph is optimized, not only its linearization, since a gross error bends the optimum. A factor that the
-rest predicts is taken back. Loops that support each other alone are left out together.
-
-Many gross errors hide each other (masking), or make right factors look wrong (swamping). A second search then starts
-without the loops that graduated non-convexity rejects (Yang et al., RA-L 2020). The search with fewer errors counts.
-Wrong loops between the same two places are one error.
-
-Variance components: by which factor the stated variances of each kind of factor are wrong.
-
-With the residuals r of kind k, its component is  theta_k = r_k' r_k / trace R_k,  the almost-unbiased estimate
-(Förstner, "Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten", AVN 86, 1979), repeated with the weights
-that follow. Its fixed point is that of restricted maximum likelihood and of Rao's MINQUE. Near it a step of Fisher's
-scoring,  S theta = q,  S_kl = tr(R D_k R D_l),  converges faster; 2 S^-1 is the covariance. S is estimated by probes of
-random signs (Hutchinson, Communications in Statistics 18, 1989), whose relative error is below sqrt(2 / probed rows).
+Data snooping (Baarda 1968) leaves out the factor of least p value and optimizes again; where many errors hide each
+other, a second search starts without the loops that graduated non-convexity rejects (Yang et al., RA-L 2020). Variance
+components (Förstner 1979, Fisher's scoring, probes of random signs by Hutchinson 1989): by which factor the stated
+variances of each kind of factor are wrong. docs/notes/audit.md has the formulas.
 """
 
 from collections import Counter
@@ -187,18 +176,11 @@ GRADES, GROWTH, LEAST = 60, 2.0, 1e-12
 TIED = 10.0  # If two T differ by less, a loop is left out rather than odometry: the likelihood ratio is below e^5 = 150
 
 
-class Stage(dict[str, float]):
-    """A stage of an audit that is reached, with its numbers: `opened`, `optimized`, `tested` or `searched`."""
-
-    def __init__(self, name: str, **numbers: float) -> None:
-        super().__init__(numbers)
-        self.name = name
+Told = Callable[..., None]
+"""Is told the stages of an audit, with their numbers as keywords: `opened`, `optimized`, `tested`, `searched`."""
 
 
-Told = Callable[[Stage], None]
-
-
-def unheard(_: Stage) -> None:
+def unheard(_: str, **numbers: float) -> None:
     """Nobody listens."""
 
 
@@ -256,7 +238,7 @@ def contradicting(
     """
     taken, agreeing = Counter[int](), set[int]()
     for turn in range(steps):
-        told(Stage("searched", step=turn + 1, steps=steps, left=len(left)))
+        told("searched", step=turn + 1, steps=steps, left=len(left))
         seen = factors.directions(f, factors.BRIEF)
         T, rank = factors.tests(f, seen)
         log_p = factors.log_p_of(T, rank)
@@ -509,7 +491,7 @@ def statistics(
     alone = min(independent(drawn), tested) if len(drawn) and tested else tested
     together, all_ = factors.clusters(f, seen, t.deleted, t.rank, np.flatnonzero(of.loops).tolist(), metres)
     level, robust = np.log(factors.PARTS[0] * factors.FAMILY / max(alone, 1)), t.weight < 1.0
-    told(Stage("tested", rejected=int((t.log_p < level).sum()), factors=tested))
+    told("tested", rejected=int((t.log_p < level).sum()), factors=tested)
     left = np.flatnonzero(robust & (t.log_p < level))
     rest, wrong = without(system, left, order) if robust.any() else f, None
     agreeing = min((c.log_p for c in together), default=0.0) < factors.cluster_level(all_)

@@ -51,16 +51,15 @@ STAGES = {
 
 def _audit(options: argparse.Namespace, prog: str) -> int:
     """Read, optimize, examine, print, write; returns the exit status."""
-    from wings.audit.audit import Stage
     from wings.audit.examined import shown, shown_tables, write_audit
     from wings.audit.page import cured, opened
 
     optimize = options.optimize if options.optimize or options.as_given else None
     began = time.monotonic()
 
-    def told(stage: Stage) -> None:  # of a graph that takes long
+    def told(stage: str, **numbers: float) -> None:  # of a graph that takes long
         if (passed := time.monotonic() - began) > SOON:
-            sys.stderr.write(f"{passed:5.0f} s: {STAGES[stage.name].format(**stage)}\n")
+            sys.stderr.write(f"{passed:5.0f} s: {STAGES[stage].format(**numbers)}\n")
             sys.stderr.flush()
 
     found = opened(

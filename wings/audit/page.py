@@ -16,7 +16,7 @@ from data.errors import UsageError
 from data.formats.graph_file import Edge, GraphFile, graph_file_of, read_graph_file, with_information
 from data.origin import Origin
 from data.se2 import Array
-from wings.audit.audit import DRAWS, LOG_FAMILY, TURNS, Audit, Stage, Told, examined, places, unheard
+from wings.audit.audit import DRAWS, LOG_FAMILY, TURNS, Audit, Told, examined, places, unheard
 from wings.audit.examined import AuditReport, Second, reported
 from wings.audit.files import EDGES, LAST_FIRST, build, built_by, optimized, other_starts
 from wings.audit.linear import Graph, Values, name, value_of
@@ -64,12 +64,12 @@ def _of_file(
     file: GraphFile, audit: Callable[..., Audit], resolve: int = 0, *, optimize: bool = True, told: Told = unheard
 ) -> Opened:
     graph, values, names = build(file)
-    told(Stage("opened", factors=graph.size(), variables=values.size()))
+    told("opened", factors=graph.size(), variables=values.size())
     ends: dict[str, Values] = {}
     if optimize:  # of several minima the lowest is examined
         ends = _ends(file, graph, values)
         values = min(ends.values(), key=graph.error)
-        told(Stage("optimized", chi2=2.0 * graph.error(values), freedom=rows_of(graph) - sum(values.dims().values())))
+        told("optimized", chi2=2.0 * graph.error(values), freedom=rows_of(graph) - sum(values.dims().values()))
     report = _reported(audit(graph, values, names), graph, values, resolve)
     unread = tuple(f"{count} {tag}" for tag, count in file.other.items())
     minima = _minima(ends, graph, values, report)

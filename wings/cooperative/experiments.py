@@ -61,15 +61,13 @@ def experiments(
 
 def _able(estimators: tuple[str, ...], task: str, method: str, exchange: str) -> tuple[str, ...]:
     """Those that can do it; dead reckoning once, with the joint exchange."""
-    if exchange == "alone":
-        return tuple(e for e in estimators if e != "dead-reckoning")
-    able = [e for e in estimators if not lack(e, task, method, exchange)]
+    able = (e for e in estimators if exchange == "alone" or not lack(e, task, method, exchange))
     return tuple(e for e in able if e != "dead-reckoning" or exchange == "joint")
 
 
 def _why(estimators: tuple[str, ...], task: str, methods: tuple[str, ...]) -> str:
     lacks = (lack(e, task, m, "joint") for e in estimators for m in methods)
-    return next((why for why in lacks if why), "an estimator is needed, ekf or batch")
+    return next(filter(None, lacks), "an estimator is needed, ekf or batch")
 
 
 def named_team(name: str) -> list[Log]:

@@ -101,7 +101,7 @@ class TeamFilter:
 
     def run(self) -> list[Track]:
         """All instants; the tracks of all robots. Raises SingularInnovationError if the filter breaks down."""
-        s, n = self.team.encounters, len(self.team)
+        s = self.team.encounters
         first = np.searchsorted(s.instant, np.arange(len(self.team.time) + 1))
         for k in range(len(self.team.time)):
             frames = self.team.frame[:, k].tolist()
@@ -123,8 +123,11 @@ class TeamFilter:
                 track.pose[f], track.covariance[f] = self.mean[at], self.P[at, at]
                 track.size[f] = len(self.mean) if self.exchange == "joint" else 3
         if self.known is None:
-            for row in range(n):
-                self.tracks[row].map = self.map_of(row)
+            label = np.array(sorted(self.slot), np.int64)
+            xy = np.array([self.slot[name] for name in label.tolist()], np.int64).reshape(-1, 1) + np.arange(2)
+            every = MapState(label, self.mean[xy], self.P[xy[:, :, None], xy[:, None, :]])
+            for row, track in enumerate(self.tracks):
+                track.map = own_map(self.team, row, track, every)
         return self.tracks
 
     def move(self, row: int, frame: int) -> None:
@@ -266,14 +269,13 @@ class TeamFilter:
         P = self.P - K @ PHt.T
         self.P = 0.5 * (P + P.T)
 
-    def map_of(self, row: int) -> MapState:
-        """The landmarks that a robot observed, by its own numbers."""
-        created, label = self.tracks[row].created, self.team.labels[row]
-        mine = np.flatnonzero((created >= 0) & np.array([name in self.slot for name in label.tolist()], np.bool_))
-        at = np.array([self.slot[name] for name in label[mine].tolist()], np.int64)[:, None] + np.arange(2)
-        order = np.argsort(created[mine])
-        at = at[order].reshape(-1, 2)
-        return MapState(created[mine][order], self.mean[at], self.P[at[:, :, None], at[:, None, :]])
+
+def own_map(team: Team, row: int, track: Track, every: MapState) -> MapState:
+    """The landmarks that a robot observed, by its own numbers, of a map by label, ascending."""
+    mine = np.flatnonzero((track.created >= 0) & np.isin(team.labels[row], every.number))
+    mine = mine[np.argsort(track.created[mine])]
+    at = np.searchsorted(every.number, team.labels[row][mine])
+    return MapState(track.created[mine], every.xy[at], every.covariance[at])
 
 
 def labelled(team: Team, row: int) -> Inputs:

@@ -12,14 +12,14 @@ import numpy as np
 from association.expectation import gate_threshold
 from association.names import METHODS
 from association.truncated import truncated_square
-from data.inputs import Inputs, IntArray, LabelledObservations, LandmarkMap
+from data.inputs import Inputs, IntArray, LabelledObservations
 from data.notice import Code, Notice, notice, stopped
-from data.result import DISCARD, Failure, Innovations, MapState, Run, Trajectory, map_estimate
+from data.result import DISCARD, Failure, Innovations, Run, Trajectory, map_estimate
 from eval.replay.estimators import dead_reckoning
 from eval.replay.recorder import missing_run
 from eval.replay.run import crashed
 from eval.replay.settings import Setup
-from wings.cooperative.filters import Gates, TeamFilter, Track
+from wings.cooperative.filters import Gates, TeamFilter, own_map
 from wings.cooperative.team import Team, TeamInputs
 
 FILTER, SMOOTHER = "ekf", "batch"
@@ -84,17 +84,11 @@ def team_runs(
     return judge(runs, inputs)
 
 
-def map_of(team: Team) -> LandmarkMap | None:
-    """The known map of a team, taken as exact."""
-    known = team.members[0].map
-    return None if known is None else known.exact
-
-
 @lru_cache(maxsize=8)
 def _filtered(team: Team, task: str, exchange: str, gates: Gates) -> tuple[TeamFilter, float]:
     """A filter that ran, and its seconds; the smoother begins there."""
-    begin = time.perf_counter()
-    filter_ = TeamFilter(team, None if task == "slam" else map_of(team), exchange, gates)
+    begin, known = time.perf_counter(), team.members[0].map
+    filter_ = TeamFilter(team, None if task == "slam" or known is None else known.exact, exchange, gates)
     filter_.run()
     return filter_, time.perf_counter() - begin
 
@@ -115,13 +109,14 @@ def _runs(team: Team, name: str, task: str, exchange: str, gates: Gates) -> tupl
         from wings.cooperative.smoother import smooth_team  # gtsam
 
         begin = time.perf_counter()
-        landmark = [_labels(team, row, t, slam=task == "slam") for row, t in enumerate(tracks)]
+        names = team.labels if task == "slam" else [t.decisions for t in tracks]
+        landmark = [np.where(t.decisions != DISCARD, n, DISCARD) for t, n in zip(tracks, names, strict=True)]
         places = {label: filter_.mean[at : at + 2] for label, at in filter_.slot.items()}
         known, sighted = filter_.known, [t.sighted for t in tracks]
         found = smooth_team(team, known, landmark, sighted, [t.pose for t in tracks], places)
         finals, total, steps = found.paths, (found.cost, found.dof), (found.iterations, found.last_step)
         if found.map is not None:
-            states = [_own_map(team, row, t, found.map) for row, t in enumerate(tracks)]
+            states = [own_map(team, row, t, found.map) for row, t in enumerate(tracks)]
         seconds = time.perf_counter() - begin
     mean, variance = truncated_square(gates.threshold if gates.method == "known" else gate_threshold(gates.gate))
     notes: tuple[Notice, ...] = ()
@@ -147,32 +142,15 @@ def _runs(team: Team, name: str, task: str, exchange: str, gates: Gates) -> tupl
     return tuple(runs)
 
 
-def _labels(team: Team, row: int, track: Track, *, slam: bool) -> IntArray:
-    """Landmark (M,) of each observation in use, by label or map id, else `DISCARD`."""
-    return np.where(track.decisions != DISCARD, team.labels[row] if slam else track.decisions, DISCARD)
-
-
-def _own_map(team: Team, row: int, track: Track, all_of: MapState) -> MapState:
-    """The landmarks that a robot observed, by its own numbers, of a map by label."""
-    mine = np.flatnonzero((track.created >= 0) & np.isin(team.labels[row], all_of.number))
-    mine = mine[np.argsort(track.created[mine])]
-    at = np.searchsorted(all_of.number, team.labels[row][mine])
-    return MapState(track.created[mine], all_of.xy[at], all_of.covariance[at])
-
-
 def _part(run: TeamRun, frames: int, observations: int) -> TeamRun:
     """The run of the first frames, of a log that was cut."""
     if len(run.trajectory(run.phases[0]).pose) == frames:
         return run
-
-    def cut(path: Trajectory | None) -> Trajectory | None:
-        return None if path is None else Trajectory(path.pose[:frames], path.covariance[:frames])
-
-    o = run.innovations
+    o, first = run.innovations, slice(frames)
     if o is not None:
         o = Innovations(o.nis[:frames], o.dof[:frames], o.log_likelihood[:frames], o.white[:observations])
     return replace(
-        run, online=cut(run.online), final=cut(run.final), innovations=o,
+        run, online=run.online and run.online.only(first), final=run.final and run.final.only(first), innovations=o,
         state_size=None if run.state_size is None else run.state_size[:frames],
         decisions=run.decisions[:observations], final_decisions=run.final_decisions[:observations],
         created=run.created[:observations],

@@ -54,7 +54,7 @@ def team_logs(source: Path) -> list[Log]:
         ticks, wanted = (np.rint(1e6 * t) for t in (log.recorded.time + log.clock, robots.at))
         R = treatment.calibration.noise(robots.z)
         seen.append((np.searchsorted(ticks, wanted), robots.z, R, robots.seen))
-    members, labels = [log.recorded for log in logs], [_true(log) for log in logs]
+    members, labels = [log.recorded for log in logs], [np.asarray(log.granted) for log in logs]  # barcodes
     team = team_of(true, members, labels, clocks, seen, sensed=True)
     left = [robot for robot in there if robot not in true]
     notes = tuple(f"Robot {r} has no ground truth, so its start in the map is unknown: left out." for r in left)
@@ -63,12 +63,6 @@ def team_logs(source: Path) -> list[Log]:
         values = {f.name: getattr(log.recorded, f.name) for f in fields(Inputs) if f.init}
         made.append(replace(log, recorded=TeamInputs(**values, team=team, robot=row), notes=(*log.notes, *notes)))
     return made
-
-
-def _true(log: Log) -> np.ndarray:
-    label = log.granted
-    assert label is not None  # barcodes
-    return label
 
 
 def _split(given: Recorded) -> tuple[Recorded, Recorded]:

@@ -1,17 +1,7 @@
 """Packets of a lidar's scan on the robot's line, byte for byte: scan to frames, frames to scan.
 
 A scan is sent in pieces of up to `BEAMS` beams, each a frame of one size: `SCAN_MARKER`, content, and the CRC-16 of the
-content, as of `wings.robot.packets`. Little-endian content of 148 bytes:
-
-    uint32    time of the scan by the robot's clock [ms]; it overflows
-    int16 x3  odometry at that time: x, y [mm], heading [mrad], as in the answer that follows the scan
-    uint16    beams in the scan
-    uint16    first beam in this packet: 0, 60, 120, ...
-    int32     angle of beam 0 from ahead, counter-clockwise [urad]
-    int32     angle from each beam to the next [nrad], negative for a clockwise scanner
-    uint16    largest range [mm]
-    uint32    CRC-32 of all ranges of the scan
-    60 uint16 ranges [mm], 0 for no return; 0 after the last beam
+content, as of `wings.robot.packets`. docs/notes/lidar.md has a table of the content, 148 bytes, little-endian.
 
 A packet is read alone, so what lies between those of one scan does no harm. A scan is used if all packets have arrived,
 agree on everything but the first beam, and its ranges fit their CRC-32. The lidar is over the robot's centre.

@@ -1,17 +1,13 @@
 """Text files of trajectories, and those with one pose a line: TUM, SQUARE, OpenVINS, KITTI and EuRoC.
 
-TUM: `t x y z qx qy qz qw`; in the wide form followed by the covariance, which may also be in a file of its own. SQUARE
-files of `smfeval` are the wide form with a header that states the covariance's frame. The covariance is the lower
-triangle, row by row (c11 c21 c22 c31 ... c66), of the 6x6 covariance of the tangent, translation first; without a
-header T = T_mean Exp(xi), in the body's axes, as in `smfeval`. With 44 columns it is the full matrix. OpenVINS and
-MINS (20 columns): upper triangles of the rotation's 3x3 covariance, in the body's axes, and of the position's, in the
-world's. KITTI: the upper three rows of the 4x4 pose, row by row, 12 numbers a line; stamps in a file of their own.
-
-`#%KEY value` lines of SQUARE declare columns and tangent, in files of covariances, too.
+docs/results-files.md lists the columns. A triangle of a covariance is the lower one, row by row (c11 c21 c22 ... c66),
+translation first; without a header T = T_mean Exp(xi), in the body's axes. `#%KEY value` lines of SQUARE declare columns
+and tangent, in files of covariances, too.
 """
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +18,7 @@ import numpy as np
 from data.csv_table import cut_off, is_number, symmetric
 from data.errors import LARGEST, DataError, UsageError
 from data.formats.arrays import columns_of, is_arrays
-from data.formats.messages import numbered_rows
+from data.formats.messages import file_and_word, kinds_of, numbered_rows, with_word
 from data.formats.results import path as paths
 from data.formats.results.space import UNIT, full, known_only, on_plane, rotations, translation_first
 from data.se2 import Array
@@ -76,7 +72,11 @@ class Text:
 
 def split(line: str, separator: str | None) -> tuple[str, ...]:
     """Fields of a line; None: at blanks."""
-    return tuple(line.split()) if separator is None else tuple(f.strip() for f in line.split(separator))
+    if separator is None:
+        return tuple(line.split())
+    quoted = '"[' in line  # a list in one field
+    read = csv.reader([line], delimiter=separator, skipinitialspace=True)
+    return tuple(f.strip() for f in (next(read) if quoted else line.split(separator)))
 
 
 def read_text(path: Path) -> Text:
@@ -84,15 +84,16 @@ def read_text(path: Path) -> Text:
     if is_arrays(path):
         names, rows = columns_of(path)
         return Text(path, (names, *rows), tuple(range(len(rows) + 1)), (), True, {})
+    file, word = file_and_word(path)
     try:
-        content = path.read_text(encoding="utf-8-sig")
+        content = file.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise DataError.at(path, "no such file") from None
     except UnicodeDecodeError:
         raise DataError.at(path, "not a text file; docs/results-files.md lists the formats") from None
     except OSError as fault:
         raise DataError.at(path, f"cannot be read: {fault.strerror}") from None
-    lines = [(i, line.strip()) for i, line in numbered_rows(content)]
+    lines = [(i, line.strip()) for i, line in with_word(numbered_rows(content), word)]
     comments = tuple((i, line) for i, line in lines if line.startswith(("#", "%")))
     data = [(i, line) for i, line in lines if line and not line.startswith(("#", "%"))]
     if not data:
@@ -255,8 +256,8 @@ def times_of(
     if len(back):
         k, before = int(known[back[0] + 1]), int(known[back[0]])
         late, early = (repr(float(v)) if abs(v) <= LARGEST else f"{v:.0f}" for v in (stamps[before], stamps[k]))
-        what = f"stamp {early} is before {late} of the line above"
-        raise DataError.at(text.path, f"{what}; ascending stamps are needed", line=text.line[k])
+        what = f"stamp {early} is before {late} of the line above; ascending stamps are needed"
+        raise DataError.at(text.path, what + kinds_of(text.path, text.fields), line=text.line[k])
     clock = paths.Clock("s", paths.ROWS) if column == UNSTAMPED else clock
     if clock is None and manner.stamps is not None:
         clock = paths.Clock(manner.stamps, paths.STATED)

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from data.columns.named import COVARIANCE, LENGTH, STAMP, YAW
 from data.csv_table import is_number, symmetric
 from data.errors import DataError, UsageError, did_you_mean
+from data.formats.messages import whole_names
 from data.formats.results import lines
 from data.formats.results import path as paths
 from data.formats.results.bags import file_and_topic, is_bag, read_bag
@@ -79,7 +80,7 @@ def header_names(text: Text, manner: Manner) -> Columns | None:
     """
     first = text.fields[0]
     if 2 * sum(is_number(f) for f in first) < len(first):
-        return _columns(text, first, text.line[0], manner, in_data=True)
+        return _columns(text, whole_names(first, text.fields[1:]), text.line[0], manner, in_data=True)
     width, separators = len(first), (",", ";") if text.commas else (None, ",")
     for line, comment in reversed([c for c in text.comments if c[0] < text.line[0] and not c[1].startswith("#%")]):
         for separator in separators:
@@ -139,7 +140,8 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
             what = f"{names[some[0]]!r} and {names[some[1]]!r} both name {role}; one of them is needed"
             raise DataError.at(text.path, f"{what}, as in --columns {role}={some[0] + 1}", line=line)
         place |= dict.fromkeys([role] * len(some), *some)
-    unit = {role: read[j][1] for role, j in place.items() if read[j][1]}
+    stated = {role: words_of(names[j])[1] if role in manner.columns else read[j][1] for role, j in place.items()}
+    unit = {role: its for role, its in stated.items() if its}
     unread = tuple(name for j, name in enumerate(names) if name and j not in place.values())
     if "nanoseconds" in place and "t" not in place:
         place["t"], unit["t"] = place.pop("nanoseconds"), "ns"
@@ -215,7 +217,8 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     for role in ("x", "y", *(POSE[4:] if quaternion else ())):
         if role not in place:
             what = f"the header names no column {role}: {', '.join(columns.order) or 'none'} are known"
-            raise DataError.at(text.path, f"{what}; docs/results-files.md lists the names", line=columns.line)
+            what += f"; docs/results-files.md lists the names, or type --columns {role}=NAME"
+            raise DataError.at(text.path, what, line=columns.line)
     value = {"t": np.arange(len(body.fields), dtype=float)} | _values(body, columns)
     absent = not quaternion and "yaw" not in place
     if absent and (turned := [name for name in columns.unread if re.search(r"(?i)q\d|quat|rot|orient", name)]):

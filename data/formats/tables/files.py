@@ -8,7 +8,6 @@ read in SI units (`--unit angle=deg,time=ns,v=km/h`).
 import csv
 import math
 import re
-from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -22,7 +21,7 @@ from data.csv_table import Table, cut_off, is_number
 from data.earth import east_north
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import columns_of, is_arrays
-from data.formats.messages import numbered_rows
+from data.formats.messages import file_and_word, kinds_of, numbered_rows, whole_names, with_word
 from data.formats.results.reading import role_of, words_of
 from data.inputs import IntArray
 from data.notice import Notice
@@ -141,12 +140,6 @@ def _separator(lines: Sequence[str]) -> str:
     return held[0] if held else ","
 
 
-def file_and_word(path: Path) -> tuple[Path, str]:
-    """The file of FILE:WORD, and the word that its rows begin with; empty: all rows."""
-    name, colon, word = str(path).rpartition(":")
-    return (Path(name), word) if colon and not path.exists() and Path(name).is_file() else (path, "")
-
-
 def read_text(path: Path) -> TextTable:
     """The file's rows, of FILE:WORD those that begin with a word; DataError for an unreadable or binary file, one
     without rows, or unequal rows.
@@ -166,8 +159,7 @@ def read_text(path: Path) -> TextTable:
     except UnicodeDecodeError:
         text = content.decode("latin-1")
     lines = numbered_rows(text)
-    if word:
-        lines = [(i, line) for i, line in lines if re.split(r"[\s,;]", line.strip(), maxsplit=1)[0] == word]
+    lines = with_word(lines, word)
     if long := next((i for i, line in lines if len(line) > csv.field_size_limit()), None):
         raise DataError.at(path, f"more than {csv.field_size_limit()} characters", line=long)
     if "\0" in text:
@@ -203,14 +195,11 @@ def read_text(path: Path) -> TextTable:
             several = "; is it one observation after the other? a row for each is needed" * (
                 len(set(map(len, rows))) > 2
             )
-            kinds = Counter(r[0] for r in rows if r)
-            if not any(map(is_number, kinds)) and len(kinds) < len(rows) / 2:
-                listed = ", ".join(f"{kind} ({n})" for kind, n in kinds.items())
-                several = f"; rows begin with {listed[:NAMES_SHOWN]}: name those of one kind, as in {path}:{row[0]}"
+            several = kinds_of(path, rows) or several
             raise DataError.at(path, f"{len(row)} fields where {width} are needed{last or several}", line=line)
     points = any("." in f and _parses(_number, f) for row in rows[:1000] for f in row)
     comma = separator in ";\t " and any("," in f for row in rows for f in row) and not points
-    shown = list(names) if names is not None else [str(k + 1) for k in range(width)]
+    shown = list(whole_names(names, rows)) if names is not None else [str(k + 1) for k in range(width)]
     for k, name in enumerate(shown):  # seconds and nanoseconds of a stamp
         stem, _, last = name.rpartition(".")
         j = next((shown.index(n) for n in (f"{stem}.nsecs", f"{stem}.nanosec") if n in shown), None)

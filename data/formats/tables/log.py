@@ -17,11 +17,12 @@ from data.columns.poses import RELATIVE
 from data.csv_table import Table, is_name
 from data.digest import file_sha256
 from data.errors import DataError, UsageError, unknown
+from data.formats.messages import file_and_word
 from data.formats.open_log import Recording, Samples
 from data.formats.recordings.laser import FLOOR
 from data.formats.results.path import ABSENT, COARSE, unturned
 from data.formats.second_odometry import together
-from data.formats.tables.files import QUATERNION, SCANS, SECOND, TextTable, file_and_word, headings, shared
+from data.formats.tables.files import QUATERNION, SCANS, SECOND, TextTable, headings, shared
 from data.formats.tables.motion import Odometry, pose_columns, read_odometry, read_second, second_closures
 from data.formats.tables.request import LOOKS, OBSERVATIONS, SENSOR, TableSensor, Wanted
 from data.formats.tables.scans import read_scans

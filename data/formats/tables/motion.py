@@ -36,13 +36,14 @@ STAMPED = ("velocities",)  # Kinds that need stamps
 @dataclass(frozen=True)
 class Wheels:
     """Wheels of ticks: track_width [m], metres per tick left and right, whether each row counts from the one before
-    (`each`), and the number of ticks at which a counter restarts (0: never).
+    (`each`), the number of ticks at which a counter restarts (0: never), and whether they are per s (`rate`).
     """
 
     track_width: float
     metres: tuple[float, float]
     each: bool = False
     wrap: int = 0
+    rate: bool = False
 
 
 class StepNoise(NamedTuple):
@@ -189,14 +190,16 @@ def read_odometry(
     else:
         if wheels is None:
             raise UsageError("wheel ticks: --track-width M and --metres-per-tick M are needed")
-        pose = _rolled(table.stack(KINDS["ticks"]), wheels)
+        pose = _rolled(table.stack(KINDS["ticks"]), wheels, time)
     return Odometry(table, time, stamped, pose, instants)
 
 
-def _rolled(ticks: Array, wheels: Wheels) -> Array:
+def _rolled(ticks: Array, wheels: Wheels, time: Array) -> Array:
     """Poses (K, 3) of a two-wheeled robot from its ticks (K, 2), left and right: an arc from row to row."""
     turned = ticks.copy() if wheels.each else np.diff(ticks, axis=0, prepend=ticks[:1])
     turned[0] = 0.0
+    if wheels.rate:
+        turned[1:] = ticks[:-1] * np.diff(time)[:, None]
     if wheels.wrap:
         turned = (turned + 0.5 * wheels.wrap) % wheels.wrap - 0.5 * wheels.wrap
     way = turned * np.array(wheels.metres)

@@ -6,6 +6,7 @@ all (`--view -30deg,30deg`).
 """
 
 import re
+import tomllib
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -50,6 +51,7 @@ NUMBERS = {
 """Flags of numbers: dimensions, what is needed in words, and which numbers may be."""
 LENGTH = "length"  # Key of the unit that `--unit length` states, in the request as settled
 FILE = "file"  # Key of a table [sensor.NAME] of a mapping file, beside those flags
+NEEDED = tomllib.loads(Path(__file__).with_name("noise.toml").read_text(encoding="utf-8"))
 ASSUMED = {"density": "5cm,2deg", "travel": ",".join(map("{:g}".format, TravelNoise()))}
 """Noise of an odometry that nobody states, by model: measured on a robot with wheels in an office."""
 
@@ -150,7 +152,7 @@ def _sensor(
     of = {flag: found.get(name, found.get("")) for flag, found in texts.items()}
     found = [q for q in ("range", "bearing") if columns.find(file, role, q) is not None]
     stated = of.get("observation-sigma")
-    alone = found[0] if len(found) == 1 and len(table_files.words(stated or "")) == 1 else None
+    alone = found[0] if len(found) == 1 and (stated is None or len(table_files.words(stated)) == 1) else None
     measured = (alone,) if alone is not None else ("range", "bearing") if found else ("x", "y")
     points = columns.has(file, role, measured) and (not taken or columns.stated(role, measured))
     if measured == ("x", "y") and not points:
@@ -170,7 +172,8 @@ def _sensor(
     x, y, turned = se2.inverse(np.zeros(3) if pose is None else pose).tolist()
     sensor = SEEN[measured](np.inf if reach is None else float(reach[0]), low, high, turned, (x, y), name, sees)
     if stated is None:
-        of["observation-sigma"] = "10cm,2deg" if found else "10cm,10cm"
+        usual = {"range": "10cm", "bearing": "2deg"}
+        of["observation-sigma"] = ",".join(usual[q] for q in (found if alone else usual)) if found else "10cm,10cm"
         columns.notes.append(f"assumed: --observation-sigma {f'{name}=' * bool(name)}{of['observation-sigma']}")
     sigma = _observation_sigma(of, alone, polar=bool(found))
     given_of = {"observation_noise": stated, "sensor_pose": pose}
@@ -422,8 +425,8 @@ def _wheels(given: Given, kind: str) -> Wheels | None:
     wrap = str(given.get("tick-wrap", "0"))
     if not wrap.isdecimal():
         raise UsageError(f"--tick-wrap {wrap}: a whole number of ticks is needed, as in 65536")
-    each = table_files.one_of(given, "ticks", ("total", "each")) == "each"
-    return Wheels(width, (float(metres[0]), float(metres[-1])), each, int(wrap))
+    count = table_files.one_of(given, "ticks", ("total", "each", "rate"))
+    return Wheels(width, (float(metres[0]), float(metres[-1])), count == "each", int(wrap), count == "rate")
 
 
 def _second(given: Given, texts: Mapping[str, TextTable], columns: Columns) -> Second | None:
@@ -450,15 +453,7 @@ def _noise(given: Given, kind: str, notes: list[str], of: str = "odometry") -> N
     model = str(given.get(f"{of}-noise", default))
     if model not in known:
         raise UsageError(f"--{of}-noise {model}: for {kind}{did_you_mean(model, known)}: {', '.join(known)}")
-    what = {
-        "density": "of v [m] and omega [rad], per square root of a second, as in 0.05,2deg",
-        "velocity": "of v [m/s] and omega [rad/s], of each sample, as in 0.1,5deg",
-        "displacement": "A1,A2,A3,A4: sigma_v = A1 |v| + A2 |omega|, sigma_omega = A3 |v| + A4 |omega|",
-        "textbook": "A1,A2,A3,A4[,A5,A6]: sigma_v^2 = A1 v^2 + A2 omega^2, sigma_omega^2 = A3 v^2 + A4 omega^2, "
-        "A5 v^2 + A6 omega^2 of a final rotation",
-        "travel": "of travel [m] per sqrt(m) and per sqrt(rad), of the heading [rad] per sqrt(m) and per sqrt(rad)",
-        "step": "of dx and dy [m] and of the turn [rad], the same of each row, as in 0.01,0.01,1deg",
-    }[model]
+    what = NEEDED[model]
     if stated not in given:
         if model not in ASSUMED:
             raise UsageError(f"unknown {of.replace('-', ' ')} noise; --{stated} is needed: {what}")

@@ -326,7 +326,8 @@ def pose_of(who: str, given: Any) -> PoseEstimate:
     P = array(who, covariance, (3, 3), "the covariance")
     size, off = max(float(np.trace(P)), 0.0), float(np.abs(P - P.T).max())
     if off > TOLERANCE * size:
-        raise ForeignError(f"{who}: the covariance is not symmetric: two elements differ by {off:.3g}")
+        what = f"two elements differ by {off:.3g} (0.5 * (P + P.T) is, if that is rounding)"
+        raise ForeignError(f"{who}: the covariance is not symmetric: {what}")
     least = float(np.linalg.eigvalsh(0.5 * (P + P.T))[0])
     if least < -TOLERANCE * size:
         raise ForeignError(f"{who}: the covariance is not positive semidefinite: an eigenvalue is {least:.3g}")

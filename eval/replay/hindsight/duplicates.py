@@ -10,6 +10,7 @@ votes are compared.
 """
 
 import math
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -147,37 +148,46 @@ def _vote(
                     c, s = math.cos(turn), math.sin(turn)
                     mx, my = 0.5 * (x[i, 0] + x[k, 0]), 0.5 * (x[i, 1] + x[k, 1])
                     ux, uy = 0.5 * (y[a, 0] + y[b, 0]), 0.5 * (y[a, 1] + y[b, 1])
-                    taken[:] = False
+                    for w in range(n):
+                        taken[w] = False
                     votes, total = 0, 0.0
                     for t in range(m):
                         vx, vy = x[t, 0] - mx, x[t, 1] - my
                         tx, ty = ux + c * vx - s * vy, uy + s * vx + c * vy
                         choice[t] = -1
-                        least = 1.0
+                        nearest = 1.0
                         for w in range(n):
                             if taken[w] or not allowed[t, w]:
                                 continue
                             off = ((y[w, 0] - tx) ** 2 + (y[w, 1] - ty) ** 2) / tolerance[t, w] ** 2
-                            if off < least:
-                                least, choice[t] = off, w
+                            if off < nearest:
+                                nearest, choice[t] = off, w
                         if choice[t] >= 0:
                             taken[choice[t]] = True
                             votes += 1
-                            total += least
+                            total += nearest
                     if votes < fewest:
                         continue
-                    slot = 0
-                    while slot < h and not (counts[slot] == votes and np.all(best[slot] == choice)):
+                    slot, least = 0, 0  # the same assignment, or else the first one with the fewest votes
+                    while slot < h:
+                        same = counts[slot] == votes
+                        for t in range(m):
+                            same = same and best[slot, t] == choice[t]
+                        if same:
+                            break
+                        least = slot if counts[slot] < counts[least] else least
                         slot += 1
                     if slot < h:
                         misfit[slot] = min(misfit[slot], total)
                         continue
                     if h == kept:
-                        slot = int(np.argmin(counts))
+                        slot = least
                         if counts[slot] >= votes:
                             continue
                     h = min(h + 1, kept)
-                    best[slot], counts[slot], misfit[slot] = choice, votes, total
+                    counts[slot], misfit[slot] = votes, total
+                    for t in range(m):
+                        best[slot, t] = choice[t]
     return best[:h], counts[:h], misfit[:h]
 
 
@@ -203,20 +213,24 @@ class Duplicates:
         window = [n for n in known if ledger.travelled - records[n].last <= span]
         young = [n for n in window if ledger.travelled - records[n].first <= age]
         old = [n for n in known if ledger.travelled - records[n].first > age]
-        if not young or not comparable(slam, window, known, gate_threshold(constants.WINDOW_GATE))[1]:
+        here, there = map(set, comparable(slam, window, known, gate_threshold(constants.WINDOW_GATE)))
+        if not young or not there:
             return []
         young.sort(key=lambda n: records[n].last)
         around, first = density(slam, ledger.range), ledger.epoch.first
         # a window that holds old landmarks has found its place; what this epoch initialized may not have
-        pairs = [] if set(old) & set(window) else constellation(slam, ledger, young, old, around, scale)
-        new, before = [n for n in young if n >= first], [n for n in known if n < first]
-        pairs = pairs or constellation(slam, ledger, new, before, around, scale)
+        pairs, enough = [], constants.CONSTELLATION_FEWEST
+        if len(there & set(old)) >= enough and not set(old) & set(window):
+            pairs = constellation(slam, ledger, young, old, around, scale)
+        if not pairs and sum(n < first for n in there) >= enough:
+            new, before = [n for n in young if n >= first], [n for n in known if n < first]
+            pairs = constellation(slam, ledger, new, before, around, scale)
         if pairs:
             ledger.end_epoch()
             return pairs
         chance = constants.SINGLE_CHANCE, constants.SINGLE_CHANCE_YOUNG * constants.SINGLE_CHANCE
-        return single(slam, ledger, window, old, chance[0] / around, scale) or single(
-            slam, ledger, window, known, chance[1] / around, scale
+        return single(slam, ledger, here, there.intersection(old), chance[0] / around, scale) or single(
+            slam, ledger, here, there, chance[1] / around, scale
         )
 
 
@@ -277,11 +291,15 @@ def constellation(
     return [(young[i], old[j]) for i, j in recognize(c.new, c.old, c.cross, allowed, density, turn, scale)]
 
 
-def single(slam: EkfSlam, ledger: Ledger, window: list[int], others: list[int], area: float, scale: float) -> Pairs:
+def single(
+    slam: EkfSlam, ledger: Ledger, window: Collection[int], others: Collection[int], area: float, scale: float
+) -> Pairs:
     """At most one pair of the window and others, at one place with no other landmark near. `area` [m^2]: upper limit of
     the gate of their difference; `scale`: learned variance scale.
     """
     gate = gate_threshold(constants.SAME_GATE)
+    if not window or not others:
+        return []
     young, old = comparable(slam, sorted(window), sorted(others), gate)
     if not young or not old:
         return []

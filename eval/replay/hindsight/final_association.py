@@ -134,7 +134,7 @@ def _nearest(
         k, count, near = frame[i], 0, 0
         a, b, c = R[i, 0, 0], R[i, 0, 1], R[i, 1, 1]
         for j in range(n):
-            if math.hypot(xy[j, 0] - pose[k, 0], xy[j, 1] - pose[k, 1]) > reach:
+            if (xy[j, 0] - pose[k, 0]) ** 2 + (xy[j, 1] - pose[k, 1]) ** 2 > reach * reach:
                 continue
             measure(kind, extrinsic, pose[k], xy[j, 0], xy[j, 1], z_hat, Hx, Hl)
             x, y = residual(kind, z[i, 0], z[i, 1], z_hat)

@@ -15,7 +15,9 @@ because differences hide lasting errors; innovations narrow the gates (`gates`).
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -111,29 +113,51 @@ def with_shares(sensor: Sensor, observations: FrameObservations, shares: Shares)
     return FrameObservations(z, D @ R @ D)
 
 
-def paired(sensor: Sensor, before: FrameObservations, motion: Increment, now: FrameObservations, reach: float) -> Step:
-    """Observations of two frames that are mutual nearest neighbours under the stated noise; `reach` [m] of the view."""
-    xy, _, Gz = sensor.inverse(np.zeros(3), before.z)
-    z_hat, H, Hl = sensor.linearize(motion.mean, xy)
+class Consecutive(NamedTuple):
+    """Observations of two consecutive frames, the motion between them, and the reach [m] of the view by then."""
+
+    before: FrameObservations
+    motion: Increment
+    now: FrameObservations
+    reach: float
+
+
+def paired(sensor: Sensor, every: Sequence[Consecutive]) -> list[Step]:
+    """Observations of two frames that are mutual nearest neighbours under the stated noise. What has no noise leaves no
+    step: it has no share of any.
+    """
+    parts = zip(*((*c.before, *c.now, *c.motion) for c in every), strict=True)
+    old_z, old_R, new_z, new_R = (np.concatenate(next(parts)) for _ in range(4))
+    motion, M = (np.stack(each) for each in parts)
+    olds, news = np.cumsum([(0, 0), *((len(c.before.z), len(c.now.z)) for c in every)], axis=0).T
+    of = np.repeat(np.arange(len(every)), np.diff(olds))
+    xy, _, Gz = sensor.inverse(np.zeros(3), old_z)
+    z_hat, H, Hl = sensor.linearize(motion[of], xy)
     J = Hl @ Gz
-    S = J @ before.R @ J.transpose(0, 2, 1) + H @ motion.covariance @ H.transpose(0, 2, 1)
-    nu = sensor.residual(now.z[:, None], z_hat[None])
-    d2 = squared_norms(nu, S + now.R[:, None])
-    density = len(before.z) / (0.5 * (sensor.max_angle - sensor.min_angle) * reach**2)
-    per_unit = np.maximum(now.z[:, 0], MIN_RANGE) if sensor.kind == RANGE_BEARING else np.ones(len(now.z))
-    nearest = d2.argmin(axis=1)
-    rows = np.flatnonzero(d2.argmin(axis=0)[nearest] == np.arange(len(nu)))
-    at = nearest[rows]
-    here = _by_direction(sensor, FrameObservations(now.z[rows], now.R[rows]))
-    there = _by_direction(sensor, FrameObservations(before.z[at], before.R[at]))
+    S = J @ old_R @ J.transpose(0, 2, 1) + H @ M[of] @ H.transpose(0, 2, 1)
+    pairs = list[tuple[IntArray, IntArray]]()
+    for (i, j), (m, n) in zip(pairwise(olds.tolist()), pairwise(news.tolist()), strict=True):
+        d2 = squared_norms(sensor.residual(new_z[m:n, None], z_hat[None, i:j]), S[i:j] + new_R[m:n, None])
+        nearest = d2.argmin(axis=1)
+        rows = np.flatnonzero(d2.argmin(axis=0)[nearest] == np.arange(n - m))
+        pairs.append((m + rows, i + nearest[rows]))
+    rows, at = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    here, there = _by_direction(sensor, new_z[rows], new_R[rows]), _by_direction(sensor, old_z[at], old_R[at])
     by_range, by_bearing = (a + J[at] @ b @ J[at].transpose(0, 2, 1) for a, b in zip(here, there, strict=True))
-    return Step(motion.covariance, nu[rows, at], H[at], by_range, by_bearing, density * per_unit[rows])
+    reach = np.array([c.reach for c in every])
+    density = np.diff(olds) / (0.5 * (sensor.max_angle - sensor.min_angle) * reach**2)
+    per_unit = np.maximum(new_z[rows, 0], MIN_RANGE) if sensor.kind == RANGE_BEARING else np.ones(len(rows))
+    columns = sensor.residual(new_z[rows], z_hat[at]), H[at], by_range, by_bearing, density[of[at]] * per_unit
+    ends = np.cumsum([len(rows) for rows, _ in pairs])[:-1]
+    steps = [Step(*parts) for parts in zip(M, *(np.split(each, ends) for each in columns), strict=True)]
+    some = np.minimum.reduceat(np.linalg.det(by_range + by_bearing), [0, *ends])
+    return [step for step, least in zip(steps, np.minimum(np.linalg.det(M), some), strict=True) if least > 0.0]
 
 
-def _by_direction(sensor: Sensor, observations: FrameObservations) -> tuple[Array, Array]:
-    """The parts (m, 2, 2) of R from range and bearing noise, without their correlation."""
-    T = axes(sensor, observations.z)
-    variance = (T * (observations.R @ T)).sum(axis=1)
+def _by_direction(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
+    """The parts (m, 2, 2) of R (m, 2, 2) from range and bearing noise, without their correlation."""
+    T = axes(sensor, z)
+    variance = (T * (R @ T)).sum(axis=1)
     along, across = (variance[:, i, None, None] * T[:, :, None, i] * T[:, None, :, i] for i in range(2))
     return along, across
 
@@ -309,6 +333,7 @@ class Restated:
         self._fitted = AS_STATED
         self._before: FrameObservations | None = None
         self._steps: list[Step] = []
+        self._waiting: list[Consecutive] = []  # of these, those without noise leave no step
         self._farthest = MIN_RANGE
 
     def fit(self, increment: Increment | None, observations: FrameObservations) -> Shares:
@@ -320,10 +345,10 @@ class Restated:
             return self._fitted
         self._farthest = max(self._farthest, float(self._sensor.polar(observations.z)[:, 0].max()))
         if before is not None and increment is not None:
-            step = paired(self._sensor, before, increment, observations, self._farthest)
-            exact = min(np.linalg.det(step.covariance), *np.linalg.det(step.by_range + step.by_bearing)) <= 0.0
-            if not exact:  # what is stated to be without noise has no share of it
-                self._steps.append(step)
+            self._waiting.append(Consecutive(before, increment, observations, self._farthest))
+            if (len(self._steps) + len(self._waiting)).bit_count() == 1:
+                self._steps += paired(self._sensor, self._waiting)
+                self._waiting.clear()
                 if len(self._steps).bit_count() == 1:
                     self._fitted = fitted(self._steps)
         return self._fitted

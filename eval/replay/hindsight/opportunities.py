@@ -26,7 +26,8 @@ last detection do not count for the rates: the landmark may have left.
 
 import math
 from collections.abc import Sequence
-from math import log
+from functools import cache
+from math import exp, log
 from typing import NamedTuple
 
 import numpy as np
@@ -52,11 +53,12 @@ def cell(distance: float, direction: float) -> int:
     return ring * constants.VIEW_SIDES + side
 
 
-def beside(of: int) -> list[int]:
+@cache
+def beside(of: int) -> frozenset[int]:
     """A cell and those beside it."""
     sides = constants.VIEW_SIDES
     ring, side = divmod(of, sides)
-    return [r * sides + (side + s) % sides for r in (ring - 1, ring, ring + 1) for s in (-1, 0, 1)]
+    return frozenset(r * sides + (side + s) % sides for r in (ring - 1, ring, ring + 1) for s in (-1, 0, 1))
 
 
 class Sights(NamedTuple):
@@ -69,30 +71,40 @@ class Sights(NamedTuple):
     polar: Array
 
 
-def sights(sensor: Sensor, z_hat: Array, covariance: Array, z: Array) -> Sights:
+def sights(
+    sensor: Sensor, z_hat: Array, covariance: Array, z: Array, at: IntArray | None = None, seen: IntArray | None = None
+) -> Sights:
     """What can be seen of landmarks expected at z_hat (n, 2), beside observations z (m, 2). Those in view are inside
-    the field of view by `IN_VIEW_SIGMAS` of their covariance (n, 2, 2).
+    the field of view by `IN_VIEW_SIGMAS` of their covariance (n, 2, 2). Of several frames: `at` (F + 1,) the landmarks
+    and `seen` (F + 1,) the observations with which each begins, and the last one ends.
     """
     polar, sigma = np.array(sensor.polar(z_hat)), constants.IN_VIEW_SIGMAS * polar_sigma(sensor, z_hat, covariance)
     inside = sensor.in_view(z_hat, margin_range=-sigma[:, 0], margin_angle=-sigma[:, 1])
-    behind = np.zeros(len(polar), np.bool_)
-    _occluded(polar, np.array(sensor.polar(z), float), constants.SHADOW, constants.SHADOW_WIDTH, inside, behind)
+    behind, observed = np.zeros(len(polar), np.bool_), np.array(sensor.polar(z), float)
+    if at is None or seen is None:
+        at, seen = np.array([0, len(polar)]), np.array([0, len(z)])
+    _occluded(polar, observed, at, seen, constants.SHADOW, constants.SHADOW_WIDTH, inside, behind)
     return Sights(inside, behind, polar)
 
 
 @njit
-def _occluded(polar: Array, seen: Array, shadow: float, width: float, open_to: BoolArray, behind: BoolArray) -> None:
+def _occluded(
+    polar: Array, seen: Array, at: IntArray, at_seen: IntArray, shadow: float, width: float, open_to: BoolArray,
+    behind: BoolArray,
+) -> None:  # fmt: skip
     """Which of the polar places (n, 2) have something observed (m, 2) before them, within the angle `shadow` [rad]: not
-    open. Which have another one before them, by `width` [m] and within half that width at its distance: behind.
+    open. Which have another one before them, by `width` [m] and within half that width at its distance: behind. `at`,
+    `at_seen`: see `sights`.
     """
-    for i in range(len(polar)):
-        r, b = polar[i, 0], polar[i, 1]
-        for q in range(len(seen)):
-            if seen[q, 0] < r and abs(wrap_angle_jit(seen[q, 1] - b)) < shadow:
-                open_to[i] = False
-        for q in range(len(polar)):
-            if polar[q, 0] < r - width and abs(wrap_angle_jit(polar[q, 1] - b)) < width / max(polar[q, 0], width):
-                behind[i] = True
+    for f in range(len(at) - 1):
+        for i in range(at[f], at[f + 1]):
+            r, b = polar[i, 0], polar[i, 1]
+            for q in range(at_seen[f], at_seen[f + 1]):
+                if seen[q, 0] < r and abs(wrap_angle_jit(seen[q, 1] - b)) < shadow:
+                    open_to[i] = False
+            for q in range(at[f], at[f + 1]):
+                if polar[q, 0] < r - width and abs(wrap_angle_jit(polar[q, 1] - b)) < width / max(polar[q, 0], width):
+                    behind[i] = True
 
 
 def missing(e: Expectation, decisions: IntArray, sensor: Sensor) -> tuple[BoolArray, Sights]:
@@ -113,32 +125,35 @@ def recounted(view: Sensor, path: Array, known: LandmarkMap, seen: Observations,
     """
     noise, apart = np.median(seen.R, axis=0), constants.SAME_PLACE * view.max_range
     reach = math.hypot(*view.translation) + view.max_range
-    familiar: list[set[int]] = [set() for _ in known.id]
-    result, place, ids = [bytearray() for _ in known.id], [(math.inf, math.inf) for _ in known.id], known.id.tolist()
+    familiar = [set[int]() for _ in known.id]
+    viewpoint: list[int | None] = [None] * len(known.id)  # of the last detection
+    result, place = [bytearray() for _ in known.id], [(math.inf, math.inf) for _ in known.id]
     frames, begin = np.unique(seen.frame, return_index=True)
-    for k, first, end in zip(frames.tolist(), begin, [*begin[1:], len(number)], strict=True):
-        x, y, heading = path[k].tolist()
-        near = np.flatnonzero(np.hypot(known.xy[:, 0] - x, known.xy[:, 1] - y) <= reach)
-        z_hat, here = view.predict(path[k], known.xy[near]), set(number[first:end].tolist())
-        seen_of = sights(view, z_hat, np.broadcast_to(noise, (len(near), 2, 2)), seen.z[first:end])
-        for i, open_to, hidden, (r, b) in zip(near.tolist(), *(each.tolist() for each in seen_of), strict=True):
-            found, known_from = ids[i] in here, familiar[i]
-            if not (found or open_to):
-                continue
-            elsewhere = math.hypot(place[i][0] - x, place[i][1] - y) >= apart
-            if not (found or elsewhere):
-                continue
-            at = cell(r, heading + b)
-            if known_from and (elsewhere or not result[i].lstrip(bytes([BEFORE]))):
-                viewpoint = BEHIND if hidden else FAMILIAR if at in known_from else 0
-                result[i].append((DETECTED if found else MISSED) + viewpoint)
-            elif not (known_from or found):
-                result[i].append(BEFORE)
-            if found:
-                known_from.update(beside(at))
-            if elsewhere:
-                place[i] = x, y
-    return {n: bytes(s) for n, s in zip(ids, result, strict=True)}
+    near = [np.flatnonzero(np.hypot(known.xy[:, 0] - x, known.xy[:, 1] - y) <= reach) for x, y in path[frames, :2]]
+    every, at = np.concatenate([np.empty(0, np.int64), *near]), np.cumsum([0, *map(len, near)])
+    of = np.repeat(frames, np.diff(at))
+    z_hat, noises = view.predict(path[of], known.xy[every]), np.broadcast_to(noise, (len(every), 2, 2))
+    sight = sights(view, z_hat, noises, seen.z, at, np.append(begin, len(number)))
+    size = 1 + int(known.id.max(initial=0))
+    here = np.isin(of * size + known.id[every], (seen.frame * size + number)[number >= 0])
+    some = np.flatnonzero(sight.open | here)
+    columns = (each[some].tolist() for each in (every, path[of], here, sight.behind, sight.polar))
+    for i, (x, y, heading), found, hidden, (r, b) in zip(*columns, strict=True):
+        elsewhere = math.hypot(place[i][0] - x, place[i][1] - y) >= apart
+        if not (found or elsewhere):
+            continue
+        cell_of, known_from, so_far = cell(r, heading + b), familiar[i], result[i]
+        if known_from and (elsewhere or not so_far or so_far[-1] == BEFORE):
+            seen_from = BEHIND if hidden else FAMILIAR if cell_of in known_from else 0
+            so_far.append((DETECTED if found else MISSED) + seen_from)
+        elif not (known_from or found):
+            so_far.append(BEFORE)
+        if found and cell_of != viewpoint[i]:
+            viewpoint[i] = cell_of
+            known_from |= beside(cell_of)
+        if elsewhere:
+            place[i] = x, y
+    return {n: bytes(s) for n, s in zip(known.id.tolist(), result, strict=True)}
 
 
 class Detections(NamedTuple):
@@ -189,7 +204,7 @@ def persistence(every: Sequence[Detections]) -> Persistence:
     p = Persistence(mean, constants.PERSISTENCE_OWN * rates, constants.PERSISTENCE_OWN * (1.0 - rates))
     for _ in range(constants.PERSISTENCE_ROUNDS):
         terms, (at_once, later, lasted) = _terms(codes, begin, chance, np.array(p), constants.PERSISTENCE_LEAVING)
-        transient = scipy.special.softmax(terms, axis=0)[2]
+        transient = _softmax(terms)[2]
         real = 1.0 - transient
         yes = np.array([real.sum(), transient @ at_once, transient @ later, transient.sum()])
         out_of = np.array([
@@ -213,7 +228,13 @@ def _rates(seen: Array, total: Array, weight: Array, a: Array, b: Array) -> tupl
 
 def kinds(every: Sequence[Detections], p: Persistence, leaving: float = constants.PERSISTENCE_LEAVING) -> Kinds:
     """The probability of each kind, of landmarks (n); `leaving`: before an opportunity."""
-    return Kinds(*scipy.special.softmax(_terms(*_packed(every), np.array(p), leaving)[0], axis=0))
+    return Kinds(*_softmax(_terms(*_packed(every), np.array(p), leaving)[0]))
+
+
+def _softmax(terms: Array) -> Array:
+    """Exponentials of (3, n), of which each column sums to one."""
+    each = np.exp(terms - terms.max(axis=0))
+    return np.asarray(each / each.sum(axis=0))
 
 
 def evidence(every: Sequence[Detections]) -> Array:
@@ -278,7 +299,12 @@ def _packed(every: Sequence[Detections]) -> tuple[IntArray, IntArray, Array]:
 
 @njit
 def _log_sum(terms: Array) -> float:
-    return float(terms.max() + log(np.exp(terms - terms.max()).sum()))
+    most, total = terms[0], 0.0
+    for term in terms:
+        most = max(most, term)
+    for term in terms:
+        total += exp(term - most)
+    return float(most + log(total))
 
 
 @njit
@@ -288,32 +314,39 @@ def _likelihoods(codes: IntArray, p: Array, chance: float, leaving: float, resul
     it lasted.
     """
     (real, at_once, later, appears), a, b = p[0], p[1].copy(), p[2].copy()
-    rate, before = a / (a + b), np.sum(codes == BEFORE)
+    rate, before = a / (a + b), 0
+    while before < len(codes) and codes[before] == BEFORE:
+        before += 1
     codes = codes[before:]
     n = len(codes)
     gone = np.zeros(n + 1)  # by chance alone from opportunity k on
+    by_chance, not_by_chance = log(chance), log(1.0 - chance)
     for k in range(n - 1, -1, -1):
-        gone[k] = gone[k + 1] + (log(chance) if codes[k] % 2 else log(1.0 - chance))
-    left, transient = np.full(n + 1, -np.inf), np.empty(n + 2)
+        gone[k] = gone[k + 1] + (by_chance if codes[k] % 2 else not_by_chance)
+    left, transient = np.empty(n), np.empty(n + 2)
     # detected for the first time after so many misses: beta-geometric, and geometric
     there = log(real) + log(a[3]) - log(a[3] + b[3] + before)
     for k in range(before):
         there += log(b[3] + k) - log(a[3] + b[3] + k)
     appearing = log(1.0 - real) + log(appears) + before * log(1.0 - appears)
     passing = appearing + log(1.0 - at_once)
+    leaves, stays, ends, lasts = log(leaving), log(1.0 - leaving), log(later), log(1.0 - later)
+    detects, misses = np.log(rate), np.log(1.0 - rate)
     for k in range(n):
-        left[k] = there + log(leaving) + gone[k]
-        transient[k] = passing + log(later) + gone[k]
+        left[k] = there + leaves + gone[k]
+        transient[k] = passing + ends + gone[k]
         detected, view = codes[k] % 2, codes[k] // 2
-        there += log(1.0 - leaving) + log(a[view] if detected else b[view]) - log(a[view] + b[view])
+        there += stays + log(a[view] if detected else b[view]) - log(a[view] + b[view])
         a[view] += detected
         b[view] += 1 - detected
-        passing += log(1.0 - later) + log(rate[view] if detected else 1.0 - rate[view])
+        passing += lasts + (detects[view] if detected else misses[view])
     transient[n], transient[n + 1] = passing, appearing + gone[0] + log(at_once)
     result[0], result[1], result[2] = there, _log_sum(left) if n else -np.inf, _log_sum(transient)
-    share = np.exp(transient - result[2])
-    expected[0] = share[n + 1] if n else 0.0
-    expected[1], expected[2] = share[:n].sum(), (np.arange(n + 1) * share[:-1]).sum()
+    expected[0], expected[1], expected[2] = exp(transient[n + 1] - result[2]) if n else 0.0, 0.0, 0.0
+    for k in range(n + 1):
+        share = exp(transient[k] - result[2])
+        expected[1] += share if k < n else 0.0
+        expected[2] += k * share
 
 
 @njit

@@ -159,9 +159,10 @@ def too_uncertain(e: Expectation, sensor: Sensor, motion: Array) -> bool:
     if not len(e.z):
         return False
     turn, shift = motion[2, 2], math.sqrt(motion[0, 0] + motion[1, 1])
-    xy, R = sensor.body_points(e.z, e.R)
-    det = R[:, 0, 0] * R[:, 1, 1] - R[:, 0, 1] * R[:, 1, 0]
-    error = 0.5 * math.sqrt(3.0) * turn * np.hypot(*xy.T) + shift * math.sqrt(turn)
+    xy, _, Gz = sensor.inverse(np.zeros(3), e.z)
+    det = (Gz[:, 0, 0] * Gz[:, 1, 1] - Gz[:, 0, 1] * Gz[:, 1, 0]) ** 2
+    det *= e.R[:, 0, 0] * e.R[:, 1, 1] - e.R[:, 0, 1] * e.R[:, 1, 0]
+    error = 0.5 * math.sqrt(3.0) * turn * np.hypot(xy[:, 0], xy[:, 1]) + shift * math.sqrt(turn)
     off, middle = np.sort(error - np.maximum(det, 0.0) ** 0.25), len(error) // 2
     return bool(off[middle] + off[~middle] > 0.0)  # the median
 

@@ -18,6 +18,8 @@ these. So does one that would not stay in the map.
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +35,7 @@ from data.inputs import Frame, FrameObservations, Increments, Inputs, IntArray, 
 from data.motion.systematic import sensor_frame
 from data.notice import Code, Notice, notice
 from data.result import DISCARD, MapState
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 from data.sensors import RELATIVE_POINT, Sensor
 from ekf.filter import FilterDivergedError
 from eval.replay.frontend import FrontEnd
@@ -49,7 +51,8 @@ from graph.factors import UnderConstrained
 from graph.problem import Start
 
 
-class Smoothed(NamedTuple):
+@dataclass(frozen=True)
+class Smoothed:
     """Decisions after smoothing and re-association.
 
     sensor: without its systematic errors; pose (N, 3), known: path and map; seen: observations (M) with the noise as
@@ -69,12 +72,12 @@ class Smoothed(NamedTuple):
     start: Start
     gated: tuple[float, float]
 
-    @property
+    @cached_property
     def times(self) -> tuple[IntArray, IntArray]:
         """Numbers (n,) of the observed landmarks, and of their observations."""
         return np.unique(self.found.number[self.found.number >= 0], return_counts=True)
 
-    @property
+    @cached_property
     def kept(self) -> Kept:
         """Which of the observed landmarks (n,) stay in the map."""
         numbers, times = self.times
@@ -180,16 +183,16 @@ def same_landmarks(sensor: Sensor, path: Array, known: LandmarkMap, seen: Observ
     often = [n for n in rows if n >= 0 and len(rows[n]) >= constants.WINDOW_OBSERVATIONS]
     xy, apart = known.positions(np.array(often, np.int64)), constants.SAME_PLACE * sensor.max_range
 
-    def agree(n: int, place: Array) -> bool:
-        """Whether a landmark's observations, most of them, could be of something at this place."""
-        k = rows[n]
-        nu = sensor.residual(seen.z[k], sensor.predict(path[seen.frame[k]], np.broadcast_to(place, (len(k), 2))))
-        return float(np.median(squared_norms(nu, seen.R[k]))) < gate_threshold(constants.SAME_GATE)
-
-    found = []
-    for i, j in sorted(_neighbours(xy)):
-        a, b = often[i], often[j]
-        if agree(a, xy[j]) and agree(b, xy[i]):
+    found, near = [], sorted(_neighbours(xy))
+    # whether a landmark's observations, most of them, could be of something at the other's place
+    tests = [(often[i], j) for pair in near for i, j in (pair, pair[::-1])]
+    k = np.concatenate([rows[n] for n, _ in tests]) if tests else rows[-1][:0]
+    of = np.repeat(np.arange(len(tests)), [len(rows[n]) for n, _ in tests])
+    nu = sensor.residual(seen.z[k], sensor.predict(path[seen.frame[k]], xy[[j for _, j in tests]][of]))
+    agree: BoolArray = medians(squared_norms(nu, seen.R[k]), of) < gate_threshold(constants.SAME_GATE)
+    for (i, j), both in zip(near, agree.reshape(-1, 2), strict=True):
+        if both.all():
+            a, b = often[i], often[j]
             odds = log_odds(seen.frame[rows[a]], seen.frame[rows[b]], path, apart)
             if odds > constants.SAME_ODDS:
                 found.append((-odds, b, a))
@@ -200,6 +203,13 @@ def same_landmarks(sensor: Sensor, path: Array, known: LandmarkMap, seen: Observ
             pairs.append((away, kept))
             taken |= {away, kept}
     return pairs
+
+
+def medians(values: Array, of: IntArray) -> Array:
+    """Median (n,) of each group of values (m,), whose number is of (m,), 0 to n - 1."""
+    count = np.bincount(of)
+    begin, ascending = np.cumsum(count) - count, values[np.lexsort((values, of))]
+    return np.asarray(0.5 * (ascending[begin + (count - 1) // 2] + ascending[begin + count // 2]))
 
 
 def _neighbours(xy: Array) -> set[tuple[int, int]]:
@@ -381,17 +391,19 @@ def _chances(view: Sensor, pose: Array, known: LandmarkMap, seen: Observations, 
     single = np.bincount(number[number >= 0], minlength=1) == 1
     gate = math.pi * gate_threshold(constants.REASSOCIATION_GATE) * np.median(np.sqrt(np.linalg.det(seen.R)))
     clutter = gate * _clutter_density(view) * ((number < 0).sum() + single.sum()) / len(np.unique(seen.frame))
-    chances = {}
-    for n, xy in zip(known.id.tolist(), known.xy, strict=True):
-        k, others = np.flatnonzero(number == n), known.xy[known.id != n]
-        confused = 0.0
-        if len(others) and len(k):
-            closest = others[np.hypot(*(others - xy).T).argmin()]
-            own, other = (view.predict(pose[seen.frame[k]], np.tile(at, (len(k), 1))) for at in (xy, closest))
-            apart = np.median(squared_norms(view.residual(own, other), seen.R[k]))
-            confused = float(scipy.stats.norm.sf(0.5 * math.sqrt(apart)))
-        chances[n] = min(max(clutter + confused, constants.CHANCE_LEAST), constants.CHANCE_MOST)
-    return chances
+    rows, confused = np.flatnonzero(known.rows(number) >= 0), np.zeros(len(known.id))
+    if len(known.id) > 1 and len(rows):
+        closest = np.empty_like(known.xy)
+        for i, xy in enumerate(known.xy):
+            distance = np.hypot(*(known.xy - xy).T)
+            distance[i] = math.inf
+            closest[i] = known.xy[distance.argmin()]
+        observed, of = np.unique(known.rows(number[rows]), return_inverse=True)
+        own, other = (view.predict(pose[seen.frame[rows]], at[observed[of]]) for at in (known.xy, closest))
+        apart = medians(squared_norms(view.residual(own, other), seen.R[rows]), of)
+        confused[observed] = scipy.special.ndtr(-0.5 * np.sqrt(apart))
+    chance = np.clip(clutter + confused, constants.CHANCE_LEAST, constants.CHANCE_MOST)
+    return dict(zip(known.id.tolist(), chance.tolist(), strict=True))
 
 
 def _renamed(s: Smoothed, like: Smoothed) -> Smoothed:
@@ -401,7 +413,7 @@ def _renamed(s: Smoothed, like: Smoothed) -> Smoothed:
     number, first = np.unique(named.number[both], return_index=True)
     former = s.found.number[both[first]]
     looks = {n: s.detections[old] for n, old in zip(number.tolist(), former.tolist(), strict=True)}
-    return s._replace(known=LandmarkMap(number, s.known.positions(former)), found=named, detections=looks)
+    return replace(s, known=LandmarkMap(number, s.known.positions(former)), found=named, detections=looks)
 
 
 def _looks(seen: Observations, number: IntArray) -> Looks | None:

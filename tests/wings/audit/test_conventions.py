@@ -83,7 +83,7 @@ def test_a_noise_that_no_line_states_is_assumed_and_never_believed(tmp_path):
 def test_measured_positions_in_space_are_priors(tmp_path):
     lines = [f"VERTEX_SE3:QUAT {k} {k} 0 0 0 0 0 1" for k in range(4)]
     unit = " ".join("1" if i == j else "0" for i in range(6) for j in range(i, 6))
-    lines += [f"EDGE_SE3:QUAT {k} {k + 1} 1 0 0 0 0 0 1 {unit}" for k in range(3)]
+    lines += [f"EDGE_SE3_SWITCHABLE {k} {k + 1} 99 1 0 0 0 0 0 1 {unit}" for k in range(3)]
     lines += [f"EDGE_SE3_PRIORXYZ {k} {k} 0.5 {k * k} 4 0 0 4 0 1" for k in range(4)]
     (tmp_path / "g.g2o").write_text("\n".join(lines) + "\n")
     report = page.opened(str(tmp_path / "g.g2o"), None, draws=0).report

@@ -28,7 +28,6 @@ from eval.report.terminal import groups_of
 from tests.builders.unpacked import unpacked
 from wings.cooperative.experiments import experiments, named_team
 from wings.cooperative.filters import Gates, TeamFilter, independent, intersected
-from wings.cooperative.player import _sampled
 from wings.cooperative.report import identities, rows_of
 from wings.cooperative.team import team_of
 from wings.cooperative.utias import team_logs
@@ -234,17 +233,6 @@ def test_the_player_of_a_robot_has_all_robots_on_its_clock_and_who_observed_whom
     seen = RangeBearing().body_points(team.encounters.z, team.encounters.R)[0]
     assert np.abs(arrays["met_point"] - seen).max() < step
     assert np.abs(arrays["mate0.truth"] - trials[0].log.truth.pose[:, :2]).max() < step
-
-
-def test_robots_begin_and_end_when_they_do_in_the_player_of_another(tmp_path):
-    logs = team_logs(written(tmp_path / "MRCLAM_Dataset8", (1, 2)))
-    team = logs[0].recorded.team
-    later = [np.arange(len(team.time) - 9), np.arange(5, len(team.time))]
-    cut = replace(team, instant=tuple(later), members=tuple(team.members))
-    a, b = (_sampled(np.arange(99.0), cut.frame[row]) for row in (0, 1))
-    assert np.isnan(a[-9:]).all()
-    assert np.isnan(b[:5]).all()
-    assert b[5:].tolist() == list(range(len(team.time) - 5))
 
 
 def test_a_robot_that_saw_robots_alone_is_no_dead_reckoning():

@@ -17,6 +17,7 @@ from eval.replay.hindsight.constants import FREEDOM, LEAST_SCALE
 from eval.replay.hindsight.mapper import MappingFrontEnd
 from eval.replay.hindsight.noise import (
     AS_STATED,
+    Consecutive,
     NoiseScale,
     Restated,
     Shares,
@@ -138,7 +139,7 @@ def test_pairs_are_each_others_nearest_neighbours():
     sensor = RangeBearing(max_range=6.0)
     before = readings(sensor, np.array([[2.0, 0.0], [3.0, 1.0]]))
     now = readings(sensor, np.array([[3.02, 1.0], [2.01, 0.0], [2.2, 0.0]]))
-    step = paired(sensor, before, Increment(np.zeros(3), MOTION), now, 6.0)
+    (step,) = paired(sensor, [Consecutive(before, Increment(np.zeros(3), MOTION), now, 6.0)])
     assert sorted(step.nu[:, 0].tolist()) == pytest.approx([0.01, 0.02])
     # two readings in the disk of 36 pi m^2; a square metre at range r is r m rad
     assert sorted(step.chance.tolist()) == pytest.approx([2.01 * 2 / (36 * math.pi), 3.02 * 2 / (36 * math.pi)])
@@ -149,7 +150,8 @@ def test_the_noise_of_a_reading_turns_with_the_robot():
     before = FrameObservations(np.array([[2.0, 0.0]]), np.diag([1.0, 1e-4])[None])
     # after a left turn it is expected at (0, -2), as uncertain along y as it was along x
     now = FrameObservations(np.array([[0.3, -2.0], [0.0, -2.8]]), np.tile(1e-4 * np.eye(2), (2, 1, 1)))
-    step = paired(sensor, before, Increment(np.array([0.0, 0.0, math.pi / 2]), 1e-6 * np.eye(3)), now, 6.0)
+    turn = Increment(np.array([0.0, 0.0, math.pi / 2]), 1e-6 * np.eye(3))
+    (step,) = paired(sensor, [Consecutive(before, turn, now, 6.0)])
     assert step.nu == pytest.approx(np.array([[0.0, -0.8]]))
 
 
