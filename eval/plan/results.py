@@ -118,14 +118,13 @@ def manner_of(name: str, names: Sequence[str], reading: Matching) -> Manner:
 
 def _columns_of(name: str, names: Sequence[str], reading: Scoring) -> dict[str, str]:
     """Columns of a file by role: those of its name, else those of all."""
-    own: dict[str, str] = {}
-    every: dict[str, str] = {}
+    found: dict[str, dict[str, str]] = {"": {}, name: {}}
     for key, column in pairs(list(reading.columns), "columns").items():
         who, _, role = key.rpartition(".")
         _known("--columns", role, KEYS)
         _known("--columns", who, ("", *names, TRUTH))
-        ({who == name: own, who == "": every}.get(True, {}))["yaw" if role == "theta" else role] = column
-    return every | own
+        found.get(who, {})["yaw" if role == "theta" else role] = column
+    return found[""] | found[name]
 
 
 KEYS = ("t", "x", "y", "z", "theta", "roll", "pitch", "qx", "qy", "qz", "qw")

@@ -436,11 +436,12 @@ GUESSED = {2: (("x", "y"),), 3: (("x", "y", "yaw"), ("t", "x", "y")), 4: (("t", 
 """What columns without names may be, by their number."""
 ALONG = 0.7  # Least mean cosine between headings and the direction of motion
 EVEN = 0.1  # Largest relative difference of the intervals of most stamps
+FEW = 0.01  # Least extent of a path over its distance from the origin; others may be degrees of latitude and longitude
 
 
 def _nameless(text: Text, manner: Manner) -> Columns | None:
     """The only reading of two to four columns of numbers without names that they allow: headings follow the motion,
-    stamps ascend evenly.
+    stamps ascend evenly, places are not all alike.
     """
     width = len(text.fields[0])
     if width not in GUESSED or not all(len(f) == width and all(map(is_number, f)) for f in text.fields):
@@ -452,7 +453,9 @@ def _nameless(text: Text, manner: Manner) -> Columns | None:
         way, angle = np.hypot(*step), column.get("yaw", rows[:, 0])[1:]
         off = [float(np.sum(way * np.cos(unit * angle - np.arctan2(step[1], step[0])))) for unit in TURNS.values()]
         even = len(dt) > 0 and (dt > 0.0).all() and np.quantile(dt, 0.9) < (1.0 + EVEN) * np.quantile(dt, 0.1)
-        if ("yaw" not in roles or max(off) > ALONG * way.sum()) and ("t" not in roles or even):
+        place = np.abs([column["x"], column["y"]])
+        near = np.ptp(place, axis=1).max() > FEW * place.max()
+        if near and ("yaw" not in roles or max(off) > ALONG * way.sum()) and ("t" not in roles or even):
             fine.append(roles)
     if len(fine) != 1:
         return None

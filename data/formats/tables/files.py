@@ -328,7 +328,7 @@ ALSO = {
     "omega": ("w", "yawrate", "angularvelocity", "angvel", "turnrate"),
     "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg"),
     "x": ("gpsx", "uwbx", "east", "easting"), "y": ("gpsy", "uwby", "north", "northing"),
-    "lat": ("latitude",), "lon": ("longitude", "lng"),
+    "label": ("landmarkid", "beaconid", "markerid", "tagid"), "lat": ("latitude",), "lon": ("longitude", "lng"),
 }  # fmt: skip
 """Other usual names of a quantity, in small letters only, beside those of results (`role_of`); read, with the unit at
 their end, where a file has exactly one of them."""
