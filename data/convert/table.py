@@ -18,8 +18,7 @@ TABLES = ("columns", "unit", "time-offset")
 REPEATED = (
     "sensor", "observation-sigma", "sensor-pose", "max-range", "view", "sees", "descriptor-sigma", "class-error",
 )  # fmt: skip
-KEYS_ALONE = ("odometry", SENSED)
-"""Keys of a mapping file besides the flags below."""
+KEYS_ALONE = ("odometry", SENSED)  # Keys of a mapping file besides the flags below
 FLAGS: dict[str, tuple[str, str]] = TEXTS["table"]["flags"]
 
 
