@@ -1,8 +1,7 @@
 """Text files of trajectories, and those with one pose a line: TUM, SQUARE, OpenVINS, KITTI and EuRoC.
 
 docs/results-files.md lists the columns. A triangle of a covariance is the lower one, row by row (c11 c21 c22 ... c66),
-translation first; without a header T = T_mean Exp(xi), in the body's axes. `#%KEY value` lines of SQUARE declare columns
-and tangent, in files of covariances, too.
+translation first; without a header T = T_mean Exp(xi), in the body's axes. `#%KEY value` lines declare the tangent.
 """
 
 from __future__ import annotations
