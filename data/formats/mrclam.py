@@ -130,21 +130,12 @@ class Calibration:
         return R
 
 
-# Measured on Dataset 9 robot 3 against its ground truth, without bad stretches:
-# - range_is_depth: the published range is a depth, 0.06 m + 1.01 r cos(bearing); the residual's spread falls from
-#   0.118 m (best line in r) to 0.030 m.
-# - turn_limit: both turn commands, 0.90 and -1.00 rad/s, turn the robot at 0.59 rad/s: a limit, not a scale.
-# - scale_v, turn_drag: v = 1.07 v_cmd - 0.073 |omega| reduces the RMS displacement error over 0.5 s from 8.4 to 2.9 mm.
-# - latency: the bearing residual's spread is smallest at 0.04 s.
-# - bearing_bias stays 0: that log has -0.021 rad, but a camera's mounting differs between robots and days.
-# The noise minimizes the localizer's position RMSE there. It exceeds the observations' spread (0.03 m, 0.02 rad),
-# because the remaining errors are constant for minutes, not white.
 FROZEN = Calibration(
     scale_v=1.07, turn_drag=0.073, turn_limit=0.59, midpoint_hold=True, odometry_delay=0.11, latency=0.04,
     range_is_depth=True, range_scale=1.01, range_bias=0.06, sigma_range=0.05, sigma_range_growth=0.03,
     sigma_bearing=0.05, motion=VelocityModel(VelocityNoise("density", (0.03, 0.08))),
 )  # fmt: skip
-"""The default calibration."""
+"""The default calibration; docs/notes/utias.md says how each number was measured."""
 
 
 BARCODES, LANDMARKS = "Barcodes.dat", "Landmark_Groundtruth.dat"

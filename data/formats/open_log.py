@@ -1,13 +1,7 @@
 """Open log folder, formats 1 and 2: a reader with strict checks, and a writer whose numbers load again bit for bit.
 
-    log.toml            see `data.columns.header`
-    *.csv               see `data.columns.parts`
-    scans.npz           range scans (see `data.columns.scans`)
-    relations.csv       row1,row2,x,y,theta[,exact][,stamp1,stamp2][,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt]         optional
-
-observations.csv and [sensor] may be missing where there are scans, fixes or closures. relations.csv: reference
-relations for scoring without a true path. x,y,theta: pose of frame row2 in that of frame row1 [m, m, rad], rows from 0;
-exact: 1 where both rows are certain, else 0; stamps [s] of the reference.
+docs/logs.md lists its files. observations.csv and [sensor] may be missing where there are scans, fixes or closures.
+relations.csv: reference relations for scoring without a true path; exact: 1 where both rows are certain, else 0.
 """
 
 import os

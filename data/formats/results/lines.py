@@ -1,13 +1,7 @@
 """Text files of trajectories, and those with one pose a line: TUM, SQUARE, OpenVINS, KITTI and EuRoC.
 
-TUM: `t x y z qx qy qz qw`; in the wide form followed by the covariance, which may also be in a file of its own. SQUARE
-files of `smfeval` are the wide form with a header that states the covariance's frame. The covariance is the lower
-triangle, row by row (c11 c21 c22 c31 ... c66), of the 6x6 covariance of the tangent, translation first; without a
-header T = T_mean Exp(xi), in the body's axes, as in `smfeval`. With 44 columns it is the full matrix. OpenVINS and
-MINS (20 columns): upper triangles of the rotation's 3x3 covariance, in the body's axes, and of the position's, in the
-world's. KITTI: the upper three rows of the 4x4 pose, row by row, 12 numbers a line; stamps in a file of their own.
-
-`#%KEY value` lines of SQUARE declare columns and tangent, in files of covariances, too.
+docs/results-files.md lists the columns. A triangle of a covariance is the lower one, row by row (c11 c21 c22 ... c66),
+translation first; without a header T = T_mean Exp(xi), in the body's axes. `#%KEY value` lines declare the tangent.
 """
 
 from __future__ import annotations

@@ -34,12 +34,10 @@ AROUND = frozenset(("pose", "field", "gt", "true", "truth", "groundtruth", "est"
 AROUND |= frozenset(("reference", "world", "map", "odom", "rs", "r", "header", "elapsed", "sim", "ros", "unix", "utc"))
 AROUND |= frozenset(("hat", "ekf", "ukf", "kf", "pf", "slam"))
 """Words that may stand around the name of a column."""
-TRUE = frozenset(("gt", "true", "truth", "groundtruth"))
-"""Of these, those of the true path, where a row holds the estimate, too."""
+TRUE = frozenset(("gt", "true", "truth", "groundtruth"))  # Those of the true path, where a row holds both
 SIDES = TRUE | {"est", "estimate", "estimated", "hat", "ekf", "ukf", "kf", "pf", "slam", "odom", "ref"}
 """Of these, those that may stand behind a name."""
-NANOSECONDS = frozenset(("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds"))
-"""Beside whole seconds; alone they are the stamp."""
+NANOSECONDS = frozenset(("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds"))  # Beside seconds, or alone
 ANGLES = {"roll": "roll", "pitch": "pitch", **dict.fromkeys(YAW, "yaw")}
 TURNS = {"rad": 1.0, "deg": np.pi / 180.0}
 ALIAS = (
@@ -52,8 +50,7 @@ GROUPS = {"p": ("x", "y", "z"), "q": ("qx", "qy", "qz", "qw"), "v": ("vx", "vy",
 """Names of several columns each, as in `# timestamp(s) q p v bg ba` of OpenVINS' states."""
 SHOWN = 6  # Most names in a note
 WELL_KNOWN: dict[tuple[str, ...], str] = {POSE: "TUM", ("t", "x", "y", "z", "qw", "qx", "qy", "qz"): "EuRoC CSV"}
-PLANE = ("t", "x", "y", "theta")
-"""Columns of our own files, with `COVARIANCE`."""
+PLANE = ("t", "x", "y", "theta")  # Columns of our own files, with `COVARIANCE`
 NANOSECONDS_FROM = 1e14  # Smallest stamp that is taken for ns: a day of them, or three million years of seconds
 
 
@@ -437,11 +434,12 @@ GUESSED = {2: (("x", "y"),), 3: (("x", "y", "yaw"), ("t", "x", "y")), 4: (("t", 
 """What columns without names may be, by their number."""
 ALONG = 0.7  # Least mean cosine between headings and the direction of motion
 EVEN = 0.1  # Largest relative difference of the intervals of most stamps
+FEW = 0.01  # Least extent of a path over its distance from the origin; others may be degrees of latitude and longitude
 
 
 def _nameless(text: Text, manner: Manner) -> Columns | None:
     """The only reading of two to four columns of numbers without names that they allow: headings follow the motion,
-    stamps ascend evenly.
+    stamps ascend evenly, places are not all alike.
     """
     width = len(text.fields[0])
     if width not in GUESSED or not all(len(f) == width and all(map(is_number, f)) for f in text.fields):
@@ -453,7 +451,9 @@ def _nameless(text: Text, manner: Manner) -> Columns | None:
         way, angle = np.hypot(*step), column.get("yaw", rows[:, 0])[1:]
         off = [float(np.sum(way * np.cos(unit * angle - np.arctan2(step[1], step[0])))) for unit in TURNS.values()]
         even = len(dt) > 0 and (dt > 0.0).all() and np.quantile(dt, 0.9) < (1.0 + EVEN) * np.quantile(dt, 0.1)
-        if ("yaw" not in roles or max(off) > ALONG * way.sum()) and ("t" not in roles or even):
+        place = np.abs([column["x"], column["y"]])
+        near = np.ptp(place, axis=1).max() > FEW * place.max()
+        if near and ("yaw" not in roles or max(off) > ALONG * way.sum()) and ("t" not in roles or even):
             fine.append(roles)
     if len(fine) != 1:
         return None

@@ -313,6 +313,23 @@ def test_factors_that_a_wrong_noise_explains_are_not_blamed():
     assert report.facts.worst is None
 
 
+@pytest.mark.parametrize(("seed", "wrong"), [(0, [53, 60]), (5, [60])])
+def test_only_factors_that_are_rejected_are_called_so(seed, wrong):
+    """Seen: `6 factors are rejected` of wrong ones of which four have a p_family above 5 %."""
+    graph, values = circle(seed=seed, loops=60)
+    rng = np.random.default_rng(seed)
+    for i in [*range(29), 60]:
+        error = 5 * SIGMA if i == 60 else 1.3 * rng.normal(0, SIGMA)
+        (a, b), z = graph.at(i).keys(), graph.at(i).measured().retract(error)
+        graph.replace(i, gtsam.BetweenFactorPose2(a, b, z, N.Diagonal.Sigmas(SIGMA)))
+    report = solved(graph, values)
+    assert report.audit.wrong.tolist() == wrong
+    rejected = bool((report.factors["p_family"][wrong] < 0.05).all())
+    assert rejected == (seed == 5)
+    assert ("1 factor is rejected, and so is" in report.words()) == rejected
+    assert ("2 factors have to be left out until none is rejected" in report.words()) == (not rejected)
+
+
 def smart_factors():
     """Cameras whose points are eliminated in their factors: 12 residuals of 6 cameras check 9 directions."""
     rng, K = np.random.default_rng(0), gtsam.Cal3_S2(500, 500, 0, 320, 240)

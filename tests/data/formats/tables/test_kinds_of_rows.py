@@ -149,9 +149,10 @@ def test_seconds_and_nanoseconds_beside_ranges_in_one_field(read):
 
 def test_speeds_of_wheels_and_ranges_alone(read):
     drive = "t,l,r\n" + "".join(f"{0.5 * k},{2 + k % 2},{4 + k % 2}\n" for k in range(9))
-    seen = "t,range\n" + "".join(f"{k},3\n" for k in range(5))
+    seen = "t,range,landmark_id\n" + "".join(f"{k},3,8\n" for k in range(5))
     words = ("--columns", "left=l,right=r", "--ticks", "rate", "--metres-per-tick", "0.1", "--track-width", "0.5")
     log, said = read({"o.csv": drive, "s.csv": seen}, "--observations", "s.csv", *words)
     assert log.recorded.increments.mean[1:, 2] == pytest.approx(0.4)
     assert np.hypot(*log.recorded.increments.mean[1:, :2].T) == pytest.approx(0.35, rel=0.01)
     assert "- assumed: --observation-sigma 10cm\n" in said
+    assert log.label.tolist() == [8] * 5
