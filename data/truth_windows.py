@@ -22,27 +22,17 @@ from data.truth import BadTruth
 
 Rows = BoolArray | NDArray[np.integer] | slice
 
-FAR = 9.0
-"""Squared distance of an observation, in robust sigmas, beyond which it speaks against the truth (3 sigma)."""
-FEWEST = 10
-"""Observations beyond `FAR`, less those within, that make a window; observations of a landmark that judge its row."""
-BETTER = 0.3
-"""Largest median distance of observations from the odometry's prediction, over that from the truth's."""
-EDGE = (15, 30, 60, 120)
-"""Numbers of observations at an edge of a window over which these are compared, as odometry drifts."""
-STEP = 10.0
-"""Robust sigmas of the difference between one increment of truth and odometry that is a step."""
-UNUSUAL = 2.0
-"""Times the 0.8 quantile of true increments and the 0.99 quantile of the odometry's, beyond which one is a jump."""
-RETURNED = 0.25
-"""Largest rest of a step, over the step, after which the truth has come back."""
-STILL = 1e-6
-"""m and rad below which two true poses are one."""
-MISPLACED, SWAPPED = 10.0, 4.0
-"""Robust sigmas from its row that all but `RARE` of a landmark's observations exceed; where two are exchanged."""
+FAR = 9.0  # Squared distance of an observation, in robust sigmas, beyond which it speaks against the truth (3 sigma)
+FEWEST = 10  # Observations beyond `FAR`, less those within, that make a window; least that judge a landmark's row
+BETTER = 0.3  # Largest median distance of observations from the odometry's prediction, over that from the truth's
+EDGE = (15, 30, 60, 120)  # Observations at an edge of a window over which these are compared, as odometry drifts
+STEP = 10.0  # Robust sigmas of the difference between one increment of truth and odometry that is a step
+UNUSUAL = 2.0  # Times the 0.8 quantile of true increments and the 0.99 quantile of the odometry's: beyond is a jump
+RETURNED = 0.25  # Largest rest of a step, over the step, after which the truth has come back
+STILL = 1e-6  # m and rad below which two true poses are one
+MISPLACED, SWAPPED = 10.0, 4.0  # Robust sigmas that all but `RARE` of a row's observations are off; of exchanged ones
 RARE = 0.1
-ENOUGH = 5
-"""Fewest observations that give a landmark its place."""
+ENOUGH = 5  # Fewest observations that give a landmark its place
 
 
 class MapRow(NamedTuple):
@@ -169,8 +159,7 @@ def misplaced(log: Log) -> tuple[MapRow, ...]:
     return _misplaced(log, seen, np.ones(len(seen.frame), bool))
 
 
-WINDOW, WINDOWS, TOGETHER = 5.0, 60, 5
-"""s of odometry in which landmarks are laid onto the map together; most of these windows; fewest landmarks."""
+WINDOW, WINDOWS, TOGETHER = 5.0, 60, 5  # s of odometry laid onto the map together; most such windows; fewest landmarks
 
 
 def _by_map(log: Log) -> Array:

@@ -123,6 +123,21 @@ def _doubled(t: Tables) -> Tables:
     return replace(t, seen=np.repeat(t.seen, 2, axis=0))
 
 
+def _ahead(part: str, metres: float) -> Change:
+    """The origin of polar coordinates, or poses, moved ahead."""
+
+    def change(t: Tables) -> Tables:
+        table = getattr(t, part).copy()
+        if part == "truth":
+            table[:, 1:3] += metres * np.stack([np.cos(table[:, 3]), np.sin(table[:, 3])], axis=1)
+            return replace(t, truth=table)
+        at = table[:, 1] * np.exp(1j * table[:, 2]) + metres
+        table[:, 1], table[:, 2] = np.abs(at), np.angle(at)
+        return replace(t, seen=table)
+
+    return change
+
+
 def _turned_sensor(angle: float) -> Change:
     def change(t: Tables) -> Tables:
         seen = t.seen.copy()
@@ -194,6 +209,15 @@ MISTAKES: dict[str, Change] = {
     "ranges in feet": _times("seen", 1, 1 / 0.3048, 1, 1),
     "ranges 1.7 times as large": _times("seen", 1, 1.7, 1, 1),
     "v in mm/s": _times("odometry", 1, 1000, 1),
+    "v in knots": _times("odometry", 1, 3600 / 1852, 1),
+    "omega in rpm": _times("odometry", 1, 1, 30 / np.pi),
+    "ranges in yards": _times("seen", 1, 1 / 0.9144, 1, 1),
+    "stamps in min": _both(*(_times(p, 1 / 60, *(1,) * n) for p, n in (("odometry", 2), ("seen", 3), ("truth", 3)))),
+    "observations 100 s late": _late("seen", 100.0),
+    "sensor 1.2 m ahead": _ahead("seen", -1.2),
+    "truth of an antenna": _ahead("truth", 0.8),
+    "map x to the other side": _times("known", 1, -1, 1),
+    "bearing and turn clockwise": _both(_times("odometry", 1, 1, -1), _times("seen", 1, 1, -1, 1)),
     "v backward": _times("odometry", 1, -1, 1),
     "v in km/h": _times("odometry", 1, 3.6, 1),
     "omega in deg/s": _times("odometry", 1, 1, 1 / DEG),

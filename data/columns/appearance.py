@@ -18,8 +18,7 @@ from data.toml_table import TomlTable, positive
 
 DESCRIPTOR, CLASS = "descriptor", "class"
 SIGMA, ERROR = KEYS = ("descriptor_sigma", "class_error")
-NUMBERS = (DESCRIPTOR, SIGMA, ERROR)
-"""Columns of observations.csv beside the class, which may be blank; the noise may be stated in `KEYS`."""
+NUMBERS = (DESCRIPTOR, SIGMA, ERROR)  # Columns beside the class, which may be blank; the noise may be stated in `KEYS`
 
 
 class Noise(NamedTuple):

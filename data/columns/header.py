@@ -31,8 +31,7 @@ from data.sensors import RangeBearing
 from data.toml_table import Fault, TomlTable, finite, load_toml, not_negative
 
 HEADER = "log.toml"
-FORMAT, LATEST = 1, 2
-"""A log without parts of format 2 is written as format 1."""
+FORMAT, LATEST = 1, 2  # A log without parts of format 2 is written as format 1
 KNOWN = {
     "": (
         *("format", "name", "time_is_index", "covariance_floor", "floored", "labels_are_sensed", "notes"),

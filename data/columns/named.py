@@ -16,12 +16,11 @@ from data.toml_table import TomlTable
 COVARIANCE = ("c_xx", "c_xy", "c_xt", "c_yy", "c_yt", "c_tt")
 ENTRIES = f"{COVARIANCE[0]} to {COVARIANCE[-1]}"
 UPPER = np.triu_indices(3)
-SHOWN = 8
-"""Most names of columns in a note."""
+SHOWN = 8  # Most names of columns in a note
 LEAST = 1e-12  # Least eigenvalue of a correlation matrix
 
 
-LENGTH = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "ft": 0.3048, "in": 0.0254}  # m, of units
+LENGTH = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "ft": 0.3048, "in": 0.0254, "yd": 0.9144}  # m, of units
 STAMP = ("t", "time", "times", "timestamp", "timestamps", "stamp")
 YAW = ("theta", "yaw", "heading", "psi", "th")
 LANDMARK = ("landmark", "lm", "id", "tag", "marker", "beacon", "cone", "barcode", "subject", "feature", "anchor")

@@ -31,11 +31,9 @@ from data.truth import CLUTTER, UNKNOWN_ID, Truth
 FRAMES, ODOMETRY, OBSERVATIONS, TRUTH = "frames.csv", "odometry.csv", "observations.csv", "truth.csv"
 LANDMARKS, FIXES, CLOSURES = "landmarks.csv", "fixes.csv", "closures.csv"
 STAMP, VELOCITIES = "stamp", ("v", "omega")
-IDS = {"true_id": UNKNOWN_ID, "label": UNLABELLED}
-"""Columns of ids, and the id of a blank field."""
+IDS = {"true_id": UNKNOWN_ID, "label": UNLABELLED}  # Columns of ids, and the id of a blank field
 KIND, SIGMAS, TRUE_PLACE = "kind", ("sx", "sy"), ("true_x", "true_y")
-LONGEST = 1e6
-"""s, longest odometry log; keyframes up to a broken stamp would fill the memory."""
+LONGEST = 1e6  # s, longest odometry log; keyframes up to a broken stamp would fill the memory
 
 
 def columns_of(header: Header, key: str) -> dict[str, Columns]:

@@ -18,15 +18,12 @@ from data.se2 import Array, BoolArray
 from data.toml_table import TomlTable, finite, positive
 
 FIX, CLOSURE = "fix", "closure"
-KEYS = {FIX: ("name", "lever", "rotation", "sigma"), CLOSURE: ("name", "sigma")}
-"""Tables of log.toml, and their keys."""
+KEYS = {FIX: ("name", "lever", "rotation", "sigma"), CLOSURE: ("name", "sigma")}  # Tables of log.toml, and their keys
 SOURCE, INLIER, KIND = "source", "true_inlier", "kind"
 POSE, RELATIVE = ("x", "y", "theta"), ("dx", "dy", "dtheta")
-ENDS = {"frame": ("frame1", "frame2"), "t": ("t1", "t2")}
-"""Names of the two ends of closures by the key of observations.csv."""
+ENDS = {"frame": ("frame1", "frame2"), "t": ("t1", "t2")}  # The two ends of closures by the key of observations.csv
 KINDS = {kind.name.lower(): kind for kind in FixKind}
-OF_SIGMA = {1: (2,), 2: (0, 1), 3: (0, 1, 2)}
-"""Entries of (x, y, theta) that a sigma of so many numbers is of."""
+OF_SIGMA = {1: (2,), 2: (0, 1), 3: (0, 1, 2)}  # Entries of (x, y, theta) that a sigma of so many numbers is of
 MEASURES: BoolArray = np.array([[entry in MEASURED[kind] for entry in range(3)] for kind in FixKind])
 """Whether a kind (3,) measures x, y, theta (3,)."""
 UNSTATED = -1  # Of an inlier that is blank

@@ -21,10 +21,8 @@ from data.inputs import Scanner, Scans
 from data.se2 import Array
 from data.toml_table import TomlTable, finite, positive
 
-METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-"""Other methods take megabytes for a dictionary whose size the file states."""
-LARGE, DENSEST = 1 << 26, 100
-"""Bytes, and multiple of its compressed size, that an entry read whole may inflate to; logs deflate to a tenth."""
+METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # Others take megabytes for a dictionary as large as stated
+LARGE, DENSEST = 1 << 26, 100  # Bytes, and multiple of its compressed size, that an entry may have; logs have ten
 BROKEN = (
     *(ValueError, EOFError, KeyError, NotImplementedError, RuntimeError, zipfile.BadZipFile, zlib.error),
     *(SyntaxError, TypeError, tokenize.TokenError),
@@ -54,8 +52,7 @@ def open_archive(path: Path, *, whole: bool) -> zipfile.ZipFile:
 
 
 FRAME, RANGES = "frame", "ranges"
-KEYS = ("angle_min", "angle_step", "max_range", "sigma", "rotation", "translation")
-"""Keys of [scanner]; the last two are optional."""
+KEYS = ("angle_min", "angle_step", "max_range", "sigma", "rotation", "translation")  # The last two are optional
 
 
 def mounting(table: TomlTable) -> tuple[float, tuple[float, float]]:

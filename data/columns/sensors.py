@@ -25,8 +25,7 @@ KEYS = (
     *("rotation", "translation", "extrinsic", "name", "sees", *looks.KEYS),
 )
 KINDS: dict[str, Callable[..., Sensor]] = {s.name: s for s in (RangeBearing, RelativePoint, Line, Bearing, Range)}
-FIRST = tuple(s.name for s in (RangeBearing, RelativePoint, Line))
-"""Kinds of format 1."""
+FIRST = tuple(s.name for s in (RangeBearing, RelativePoint, Line))  # Kinds of format 1
 NOISE = ("r11", "r12", "r22")
 
 

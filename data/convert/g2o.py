@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data.convert import said_of
+from data.convert import TEXTS, said_of
 
 if TYPE_CHECKING:
     from data.command import Add
@@ -20,14 +20,12 @@ TORO = (".graph", ".toro")
 def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parser of `g2o`; `parameters` is unused."""
     sub = add("g2o", **said_of("g2o"))
-    text = f"a {SUFFIX} file (Toro: {', '.join(TORO)}; gtsam, iSAM: .txt), or a log by path or name"
-    sub.add_argument("source", metavar="SOURCE", help=text)
+    says = TEXTS["g2o"]["says"]
+    sub.add_argument("source", metavar="SOURCE", help=says["source"])
     sub.add_argument("out", metavar="OUT", type=Path, help=f"log folder to write, or {SUFFIX} file")
     sub.add_argument("--true", action="store_true", help="of a graph: its vertices are the true values")
-    text = "what the noise of text states (ODOMETRY, LANDMARK, EDGE2 in rows; default: as the numbers suggest)"
-    sub.add_argument("--noise", choices=("information", "covariance", "root"), help=text)
-    run = "of a log: poses, map and pairings of this run in a report, runs/LOG/TASK-ESTIMATOR-ASSOCIATION"
-    sub.add_argument("--run", metavar="FOLDER", type=Path, help=f"{run} (default: dead reckoning and labels)")
+    sub.add_argument("--noise", choices=("information", "covariance", "root"), help=says["noise"])
+    sub.add_argument("--run", metavar="FOLDER", type=Path, help=says["run"])
 
 
 def convert(args: argparse.Namespace) -> Log | str:

@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data.convert import said_of
+from data.convert import TEXTS, said_of
 from data.worlds.registry import SIMULATORS, add_flags, parameters_of, simulate
 
 if TYPE_CHECKING:
@@ -24,8 +24,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parsers of all kinds; `parameters`: with those of worlds, which take the world to be loaded."""
     park, plaza, dlr, course = (add(kind, **said_of(kind)) for kind in KINDS[:4])
     plaza.add_argument("set", metavar="SET", type=int, choices=(1, 2), help="1 or 2")
-    text = "ranges are divided by it (default: 1.07, which the ground truth of both sets tells)"
-    plaza.add_argument("--range-scale", metavar="S", type=float, default=1.07, help=text)
+    plaza.add_argument("--range-scale", metavar="S", type=float, default=1.07, help=TEXTS["plaza"]["says"]["scale"])
     plaza.add_argument("--range-sigma", metavar="M", type=float, default=0.5, help="noise of a range (default: 0.5)")
     dlr.add_argument("file", metavar="FILE", type=Path, help="map.circles")
     course.add_argument("file", metavar="FILE", type=Path, help="sensor_data.dat")

@@ -18,8 +18,7 @@ TABLES = ("columns", "unit", "time-offset")
 REPEATED = (
     "sensor", "observation-sigma", "sensor-pose", "max-range", "view", "sees", "descriptor-sigma", "class-error",
 )  # fmt: skip
-KEYS_ALONE = ("odometry", SENSED)
-"""Keys of a mapping file besides the flags below."""
+KEYS_ALONE = ("odometry", SENSED)  # Keys of a mapping file besides the flags below
 FLAGS: dict[str, tuple[str, str]] = TEXTS["table"]["flags"]
 
 
@@ -27,15 +26,13 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parser of `table`; `parameters` is unused."""
     sub = add("table", **said_of("table"))
     sub.argument_default = argparse.SUPPRESS
-    mapping = "these flags as keys, odometry = FILE, [columns] and [unit] as tables; paths relative to it; flags win"
-    text = f"file with the odometry, and by default the observations; or .toml: {mapping}"
-    sub.add_argument("source", metavar="SOURCE", type=Path, help=text)
+    says = TEXTS["table"]["says"]
+    sub.add_argument("source", metavar="SOURCE", type=Path, help=says["source"])
     sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     for name, (metavar, text) in FLAGS.items():
         action = "append" if name in (*TABLES, *REPEATED) else "store"
         sub.add_argument(f"--{name}", dest=name, metavar=metavar, help=text, action=action)
-    text = "a sensor read the labels (barcodes), so some may be wrong"
-    sub.add_argument(f"--{SENSED}", dest=SENSED, action="store_true", help=text)
+    sub.add_argument(f"--{SENSED}", dest=SENSED, action="store_true", help=says[SENSED])
 
 
 def convert(args: argparse.Namespace) -> Recording:

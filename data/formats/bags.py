@@ -173,8 +173,7 @@ def listed(topics: Sequence[Topic]) -> str:
 
 ADD = 0  # Action of a marker that is there
 GEOMETRY = ("angle_min", "angle_max", "angle_increment", "range_min", "range_max")
-SHARED = ("range_min", "range_max")
-"""Numbers that are the same in every scan; angles may differ (rotating scanners)."""
+SHARED = ("range_min", "range_max")  # Numbers that are the same in every scan; angles may differ (rotating scanners)
 WIDEST = 1e6
 """rad, angle of a beam that is none: beams are told apart by whole numbers of `data.formats.recordings.beams.ANGLE`."""
 

@@ -17,7 +17,6 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from scipy.io.matlab import MatReadError
 
 from data.errors import DataError
 
@@ -27,24 +26,20 @@ Bytes: TypeAlias = "bytes | mmap.mmap"
 BYTE_ORDER, VERSION, HEADER = 126, 124, 128
 """Positions in a file of version 5 to 7: of the byte order and the version, and the end of its header."""
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
-HDF5_AT = (0, 512)
-"""Positions of the signature in version 7.3: at the start, or after MATLAB's own header."""
+HDF5_AT = (0, 512)  # Positions of the signature in version 7.3: at the start, or after MATLAB's own header
 WIDTHS_4 = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # bytes of a number of version 4, by its class
 BROKEN = (
     *(ValueError, TypeError, KeyError, IndexError, AttributeError, RuntimeError, OverflowError, OSError),
-    *(zlib.error, struct.error, MatReadError),
+    *(zlib.error, struct.error),
 )
 """Errors of the readers for damaged bytes."""
 INT32, UINT32, MATRIX, COMPRESSED = 5, 6, 14, 15
 TEXT = frozenset({1, 16})
-NUMBERS = frozenset({*range(1, 8), 9, 12, 13, *TEXT, 17, 18})
-"""Element types of text and numbers."""
+NUMBERS = frozenset({*range(1, 8), 9, 12, 13, *TEXT, 17, 18})  # Element types of text and numbers
 CELL, STRUCT, OBJECT, CHAR, SPARSE, FUNCTION, OPAQUE = 1, 2, 3, 4, 5, 16, 17
-NUMERIC = range(6, 16)
-"""Classes of matrices of numbers."""
+NUMERIC = range(6, 16)  # Classes of matrices of numbers
 COMPLEX = 0x800
-DEEPEST = 32
-"""Most structs or cell arrays inside each other."""
+DEEPEST = 32  # Most structs or cell arrays inside each other
 BLANK = 1 << 12  # Most elements without content
 HEAD = 1 << 16  # Bytes of a compressed variable that hold its name and fields
 LIMIT = 2**31 - 1  # Most bytes of a variable in versions 5 to 7
@@ -122,7 +117,7 @@ def _opened(path: Path) -> Iterator[tuple[mmap.mmap, str]]:
         raise DataError.at(path, f"larger than the memory; {right}") from error
     except (FileNotFoundError, PermissionError, IsADirectoryError) as error:
         raise DataError.at(path, f"cannot be read: {error.strerror}") from error
-    except BROKEN as error:
+    except (*BROKEN, scipy.io.matlab.MatReadError) as error:
         raise DataError.at(path, f"damaged: {' '.join(str(error).split())[:200]}") from error
 
 

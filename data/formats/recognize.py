@@ -1,23 +1,13 @@
 """Recordings that can be converted to logs, and the command to type."""
 
 import shlex
+import tomllib
 from pathlib import Path
 
 from data.wing import recording_in
 
 MOST = 8  # Most names of variables in a message
-BAG = "a ROS bag; type slamref convert bag {file} --list, or slamref convert rosbag {file} LOG for its laser"
-GRAPH = "a graph; type slamref convert g2o {file} LOG (or slamref audit {file})"
-KINDS = {
-    ".bag .mcap .db3": BAG,
-    ".g2o .graph .toro": GRAPH,
-    ".csv .tsv .txt .dat": "a table; type slamref convert table {file} LOG (--help names its flags)",
-    ".npz .npy": "arrays of numpy; type slamref convert table {file} LOG (--help names its flags)",
-    ".tum": "a path of another program; type slamref score {file} TRUTH, or slamref run LOG --result mine={file}",
-    ".toml": "a TOML file; type slamref convert table {file} LOG, slamref study {file} or slamref run --config {file}",
-    ".png .jpg .jpeg": "a picture; type slamref detect {file} REFERENCE",
-    ".py": "a Python file; type slamref run LOG --estimator {file}:CLASS",
-}
+KINDS: dict[str, str] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 """By suffixes: what a file is that is no log, and the command that takes it."""
 
 GRAPHS = (".g2o", ".graph", ".toro", ".txt")  # suffixes of files of graphs
@@ -36,7 +26,7 @@ def what_to_type(path: Path) -> str:
     if path.is_dir():
         if (path / "provenance.json").is_file():
             return f"a result folder; type slamref report {file}, or name one of its logs"
-        return BAG.format(file=file) * (path / "metadata.yaml").is_file()
+        return KINDS[".bag .mcap .db3"].format(file=file) * (path / "metadata.yaml").is_file()
     if path.suffix.lower() == ".mat":
         folder = path.absolute().parent
         if (recording := recording_in(folder)) is not None:
@@ -52,7 +42,7 @@ def what_to_type(path: Path) -> str:
     if relations and not landmarks:
         return f"a pose graph; slamref audit {file} optimizes it, slamref convert g2o {file} LOG makes it a log"
     ours = (said for of, said in KINDS.items() if path.suffix.lower() in of.split())
-    return (GRAPH if landmarks else next(ours, "")).format(file=file)
+    return (KINDS[".g2o .graph .toro"] if landmarks else next(ours, "")).format(file=file)
 
 
 def edges_of(path: Path) -> tuple[int, int]:

@@ -22,8 +22,7 @@ TURN_FIRST = 2
 DRIVE_FIRST = 3
 MODELS = {"unicycle": ARC, "half_angle": HALF_ANGLE, "turn_first": TURN_FIRST, "drive_first": DRIVE_FIRST}
 NOISES = ("velocity", "displacement", "density", "textbook")
-WITH_ALPHAS = {"displacement": (4,), "textbook": (4, 6)}
-"""Conventions with alphas instead of sigmas, and their number."""
+WITH_ALPHAS = {"displacement": (4,), "textbook": (4, 6)}  # Conventions with alphas instead of sigmas, and their number
 MAX_HOLD = 1.0  # s, longest hold of a sample (zero-order hold); then follows a gap
 
 

@@ -22,10 +22,8 @@ from data.timeline import MAX_GAP
 from data.truth_windows import bad_truth, misplaced
 from data.wing import of_all
 
-SPARSE = 0.5
-"""Smallest share of frames with a true pose; recordings have at least 0.92."""
-FEW = 50
-"""Least number of labelled observations for a question about labels."""
+SPARSE = 0.5  # Smallest share of frames with a true pose; recordings have at least 0.92
+FEW = 50  # Least number of labelled observations for a question about labels
 
 
 def truth_rate(log: Log) -> list[Notice]:
@@ -51,10 +49,8 @@ def labels(log: Log) -> list[Notice]:
     return [notice(Code.LABELS, readings=len(named), landmarks=distinct)]
 
 
-CRAWL = 5e-3
-"""m/s and rad/s; a robot that drives 0.5 m/s by stamps in ms drives 5e-4 m/s."""
-SLOW_FRAMES, FAST_FRAMES = 5.0, 1e-4
-"""s, extreme frame intervals; 10 Hz in ms gives 100 s, ms taken for ns 1e-7 s."""
+CRAWL = 5e-3  # m/s and rad/s; a robot that drives 0.5 m/s by stamps in ms drives 5e-4 m/s
+SLOW_FRAMES, FAST_FRAMES = 5.0, 1e-4  # s, extreme frame intervals; 10 Hz in ms gives 100 s, ms taken for ns 1e-7 s
 
 
 def stamps(log: Log) -> list[Notice]:
@@ -83,20 +79,13 @@ def stamps(log: Log) -> list[Notice]:
     return [notice(Code.TIME_UNIT, gap=gap, span=span, unit=unit, blind=blind, flags=flags)]
 
 
-BEYOND = 0.01
-"""Largest share of observations outside the stated field of view by more than `MARGIN`; noise gives 3e-5."""
-MARGIN = 4.0
-"""Standard deviations of an observation."""
-FIRST = 50
-"""Number of first observations that are checked, before the odometry drifts."""
-FEWEST = 5
-"""Least number of observations for a question."""
-GATE = 18.42
-"""0.9999 quantile of chi-square with 2 dof."""
-EXPLAINED = 0.2
-"""Least share of the first observations that a prior in the map's frame explains."""
-SLACK, SLACK_HEADING = 1.0, 0.2
-"""m, rad, added to five standard deviations of the prior as limit of its distance from the true pose."""
+BEYOND = 0.01  # Largest share of observations outside the stated field of view by more than `MARGIN`; noise gives 3e-5
+MARGIN = 4.0  # Standard deviations of an observation
+FIRST = 50  # Number of first observations that are checked, before the odometry drifts
+FEWEST = 5  # Least number of observations for a question
+GATE = 18.42  # 0.9999 quantile of chi-square with 2 dof
+EXPLAINED = 0.2  # Least share of the first observations that a prior in the map's frame explains
+SLACK, SLACK_HEADING = 1.0, 0.2  # m, rad, beside five sigmas of the prior, of its distance from the true pose
 
 
 def reach(log: Log) -> list[Notice]:
@@ -146,19 +135,12 @@ def prior(log: Log) -> list[Notice]:
     mends = False
     if first is not None and known:
         mends = bool(explained(replace(inputs, prior=replace(inputs.prior, mean=first))).mean() >= EXPLAINED)
-    return [
-        notice(
-            Code.PRIOR,
-            mean=tuple(inputs.prior.mean.tolist()),
-            fitting=int(hit.sum()),
-            readings=len(hit),
-            x=(low[0], high[0]),
-            y=(low[1], high[1]),
-            walls=not inputs.sensor.sees_points,
-            truth=tuple(first.tolist()) if first is not None and known else None,
-            flags=(f"--prior={as_pose(first, metres_of(log))}",) if first is not None and mends else (),
-        )
-    ]
+    return [notice(
+        Code.PRIOR, mean=tuple(inputs.prior.mean.tolist()), fitting=int(hit.sum()), readings=len(hit),
+        x=(low[0], high[0]), y=(low[1], high[1]), walls=not inputs.sensor.sees_points,
+        truth=tuple(first.tolist()) if first is not None and known else None,
+        flags=(f"--prior={as_pose(first, metres_of(log))}",) if first is not None and mends else (),
+    )]  # fmt: skip
 
 
 def explained(inputs: Inputs) -> BoolArray:
@@ -211,15 +193,10 @@ def map_rows(log: Log) -> list[Notice]:
     at = {r.id: r.at for r in found}
     pairs = [(i, j) for i, j in at.items() if i < j and at.get(j) == i]
     swapped = tuple(i for pair in pairs for i in pair)
-    return [
-        notice(
-            Code.MAP_ROWS,
-            swapped=swapped,
-            shifted=tuple(i for i in at if i not in swapped),
-            distance=max(r.distance for r in found),
-            observations=sum(r.observations for r in found),
-        )
-    ]
+    return [notice(
+        Code.MAP_ROWS, swapped=swapped, shifted=tuple(i for i in at if i not in swapped),
+        distance=max(r.distance for r in found), observations=sum(r.observations for r in found),
+    )]  # fmt: skip
 
 
 def assumed_noise(log: Log) -> list[Notice]:
@@ -233,18 +210,12 @@ def truth_windows(log: Log) -> list[Notice]:
     if not found:
         return []
     off = [w.off for w in found if np.isfinite(w.off)]
-    return [
-        notice(
-            Code.BAD_TRUTH,
-            frame=found[0].first,
-            start=tuple(w.start for w in found),
-            end=tuple(w.end for w in found),
-            off=max(off) if off else None,
-            left_out=bool(log.truth.left_out),
-            mrclam=log.source.get("kind") == "mrclam",
-            flags=tuple(f"--exclude-truth {w.start:.15g}:{w.end:.15g}" for w in found),
-        ).about(log=log.name)
-    ]
+    start, end = tuple(w.start for w in found), tuple(w.end for w in found)
+    flags = tuple(f"--exclude-truth {w.start:.15g}:{w.end:.15g}" for w in found)
+    return [notice(
+        Code.BAD_TRUTH, frame=found[0].first, start=start, end=end, off=max(off) if off else None,
+        left_out=bool(log.truth.left_out), mrclam=log.source.get("kind") == "mrclam", flags=flags,
+    ).about(log=log.name)]  # fmt: skip
 
 
 @lru_cache(maxsize=16)  # logs; first lines, judgements and the answers of a lab ask
@@ -253,20 +224,10 @@ def conventions(log: Log) -> tuple[Notice, ...]:
     return (*contradictions(log), *(question for of_wing in of_all("questions") for question in of_wing(log)))
 
 
-CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
-    map_rows,
-    truth_windows,
-    stamps,
-    reach,
-    prior,
-    truth_start,
-    truth_rate,
-    labels,
-)
-FOLLOWS = (map_rows, truth_windows, prior, truth_start)
-"""Checks whose questions follow from parts that contradict each other."""
-OF_ONE_SENSOR = (reach, prior)
-"""Checks that read the observations of one sensor that locates its landmarks."""
+Checks = tuple[Callable[[Log], list[Notice]], ...]
+CHECKS: Checks = (map_rows, truth_windows, stamps, reach, prior, truth_start, truth_rate, labels)
+FOLLOWS = (map_rows, truth_windows, prior, truth_start)  # Their questions follow from parts that contradict each other
+OF_ONE_SENSOR = (reach, prior)  # Checks that read the observations of one sensor that locates its landmarks
 
 
 def ask(log: Log) -> tuple[Notice, ...]:

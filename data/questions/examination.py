@@ -10,7 +10,7 @@ named, or those that explain it equally well.
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, partial, reduce
 from typing import cast
 
 import numpy as np
@@ -25,14 +25,11 @@ from data.se2 import Array, BoolArray, between, compose, dead_reckoned, inverse,
 from data.sensors import RELATIVE_POINT
 from data.timeline import truth_at
 
-MOST = 200
-"""Largest number of pairs of a witness; more of them tell nothing more."""
-KEPT = 0.8
-"""Share of the smallest differences that count: others are clutter, slips, and wrong ids."""
-OF_NORMAL = 0.598
-"""Mean of so many smallest squares of normal vectors of the plane, over the mean of all."""
-WEIGHT = 100.0
-"""Largest number of independent differences of a witness; errors of neighbouring ones are alike."""
+MOST = 200  # Largest number of pairs of a witness; more of them tell nothing more
+KEPT, HALF = (0.8, 0.598), (0.5, 0.307)
+"""Share of the smallest differences that count, and mean of so many smallest squares of normal vectors of the plane,
+over that of all: others are clutter, slips, and wrong ids; without ids many are of landmarks not seen again."""
+WEIGHT = 100.0  # Largest number of independent differences of a witness; errors of neighbouring ones are alike
 
 
 @dataclass(frozen=True)
@@ -46,28 +43,31 @@ class Fit:
     count: int
 
     @property
+    def agrees(self) -> bool:
+        """Whether the difference is noise: as large as stated, or noise hides everything, as turns on straight ways."""
+        return self.off <= AGREES * self.noise or self.noise >= LOUDEST
+
+    @property
     def cost(self) -> float:
         """Minus the log-likelihood, with the noise that fits best, but not less than what is stated."""
         return min(self.count, WEIGHT) * math.log(max(self.off, self.noise))
 
 
-def _fit(difference: Array, size: Array, variance: Array) -> Fit | None:
+def _fit(difference: Array, size: Array, variance: Array, kept: tuple[float, float] = KEPT) -> Fit | None:
     """Of differences (n, k) of quantities of a size (n,), with variances (n,) by the stated noise."""
     count = len(difference)
     if count < FEWEST:
         return None
-    square = np.sort(np.sum(difference**2, axis=1))[: max(int(KEPT * count), 1)]
+    square = np.sort(np.sum(difference**2, axis=1))[: max(int(kept[0] * count), 1)]
     scale = float(np.median(size))
     if not scale > 0.0 or not np.isfinite(square).all():
         return None
-    noise = math.sqrt(OF_NORMAL * float(np.median(variance))) / scale
+    noise = math.sqrt(kept[1] * float(np.median(variance))) / scale
     return Fit(float(np.sqrt(np.mean(square))) / scale, min(max(noise, EXACT), LOUDEST), count)
 
 
-FEWEST = 12
-"""Fewest differences of a witness."""
-EXACT, LOUDEST = 1e-3, 1.0
-"""Least and largest noise, relative to what is compared: rounding, and noise that hides everything."""
+FEWEST = 12  # Fewest differences of a witness
+EXACT, LOUDEST = 1e-3, 1.0  # Least and largest noise over what is compared: rounding, and one that hides everything
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class Case:
         mount: (3,) pose of the sensor on the body.
         id: (M,) landmarks, negative where unknown; None: there are no ids.
         names, places: (L,) and (L, 2) of the map; None: there is none.
-        world: bearings count from the world's x axis.
+        cartesian: points are observed; world: bearings count from the world's x axis.
         stamped: stamps are in s.
         kind: of the odometry, as of tables.
         steps: (N,) samples of velocities in each increment, of arcs; None: another order of turning is stated.
@@ -103,6 +103,7 @@ class Case:
     names: IntArray | None
     places: Array | None
     world: bool = False
+    cartesian: bool = False
     stamped: bool = True
     kind: str = "velocities"
     steps: Array | None = None
@@ -159,7 +160,8 @@ def case_of(log: Log) -> Case:
     return Case(
         time, mean, spread, np.array(r.prior.mean), pose, time, frame, time[frame], z, R, mount,
         ids if ids is not None and len(ids) and (ids >= 0).any() else None,
-        None if known is None else known.id, None if known is None else known.xy, stamped=not r.time_is_index,
+        None if known is None else known.id, None if known is None else known.xy,
+        cartesian=locates and sensor.units[1] == "m", stamped=not r.time_is_index,
         kind=str(log.source.get(ODOMETRY_KIND, "velocities")), steps=_steps(log),
     )  # fmt: skip
 
@@ -178,9 +180,6 @@ def _steps(log: Log) -> Array | None:
 ARCS = "unicycle"  # the motion model of arcs
 
 
-# ---- witnesses
-
-
 @dataclass(frozen=True, eq=False)
 class Samples:
     """Which rows each witness compares, chosen once for a log."""
@@ -193,12 +192,9 @@ class Samples:
     soon: IntArray  # observations at the start
 
 
-SPANS = (1.0, 4.0)
-"""s, over which two paths are compared: shorter than what odometry drifts, longer than its noise."""
-LAGS = (1.0, 8.0)
-"""s between two observations of one landmark."""
-SOON = 60
-"""Observations that are compared with the map from the prior."""
+SPANS = (1.0, 4.0)  # s, over which two paths are compared: shorter than what odometry drifts, longer than its noise
+LAGS = (1.0, 8.0)  # s between two observations of one landmark
+SOON = 60  # Observations that are compared with the map from the prior
 
 
 def samples(c: Case) -> Samples:
@@ -238,10 +234,8 @@ def _same_id(c: Case) -> tuple[IntArray, IntArray]:
     return by[fine].astype(np.int64), by[later[fine]].astype(np.int64)
 
 
-PAIRS = 80
-"""Pairs of frames whose observations are compared without ids."""
-MANY = 20_000
-"""Most pairs of observations of them."""
+PAIRS = 80  # Pairs of frames whose observations are compared without ids
+MANY = 20_000  # Most pairs of observations of them
 
 
 def _near(c: Case) -> tuple[IntArray, IntArray, IntArray]:
@@ -269,8 +263,7 @@ def _near(c: Case) -> tuple[IntArray, IntArray, IntArray]:
     return a, np.concatenate(second), np.flatnonzero(np.append(True, a[1:] != a[:-1]))
 
 
-GROUP, GROUPS, WINDOW = 4, 60, 5.0
-"""Observations of different landmarks of a group that is laid onto the map; most groups; s of odometry in one."""
+GROUP, GROUPS, WINDOW = 4, 60, 5.0  # Landmarks of a group that is laid onto the map; most groups; s of odometry in one
 
 
 def _together(c: Case) -> tuple[IntArray, IntArray]:
@@ -294,9 +287,6 @@ def _together(c: Case) -> tuple[IntArray, IntArray]:
         first.append(len(rows))
         rows += groups[k]
     return np.array(rows, np.int64), np.array(first, np.int64)
-
-
-Witness = Callable[[Case, Samples], "list[Fit | None]"]
 
 
 def truth_and_odometry(c: Case, s: Samples) -> list[Fit | None]:
@@ -353,7 +343,7 @@ def observations_and_map(c: Case, s: Samples) -> list[Fit | None]:
 
 
 BY_TRUTH = "truth and odometry"
-WITNESSES: Mapping[str, Witness] = {
+WITNESSES: Mapping[str, Callable[[Case, Samples], list[Fit | None]]] = {
     BY_TRUTH: truth_and_odometry,
     # how observed landmarks move in the body frame as the odometry moves, or the true path; where they are by the map
     "observations and odometry": lambda c, s: (
@@ -382,16 +372,18 @@ def _place_of(c: Case, ids: IntArray) -> Array:
 def _moved(c: Case, s: Samples, path: tuple[Array, BoolArray], spread: Array) -> Fit | None:
     """Changes of observed points in the body frame against those that a path predicts; without ids of the nearest."""
     found = _changes(c, s, path, spread)
-    return None if found is None else _fit(found[0], found[1], found[2][:, 0])
+    return None if found is None else _fit(found[0], found[1], found[2][:, 0], HALF if _alone(c, s) else KEPT)
+
+
+def _alone(c: Case, s: Samples) -> bool:
+    """Whether too few observations have ids, so that the nearest are compared."""
+    return c.id is None or len(s.pairs[0]) < FEWEST
 
 
 def _changes(c: Case, s: Samples, path: tuple[Array, BoolArray], spread: Array) -> tuple[Array, ...] | None:
     """The differences (n, 2) of the same, sizes (n,), variances (n, 2), and what a displaced sensor adds (n, 2, 2)."""
-    a, b = s.pairs
-    first = s.near[2]
-    alone = c.id is None or len(a) < FEWEST
-    if alone:
-        a, b = s.near[:2]
+    alone, first = _alone(c, s), s.near[2]
+    a, b = s.near[:2] if alone else s.pairs
     if len(a) < FEWEST:
         return None
     pose, inside = path
@@ -455,9 +447,6 @@ def _turned(heading: Array, p: Array) -> Array:
     return np.stack([c * p[:, 0] - s * p[:, 1], s * p[:, 0] + c * p[:, 1]], axis=1)
 
 
-# ---- readings
-
-
 @dataclass(frozen=True, eq=False)
 class Reading:
     """Another way to read a log.
@@ -477,27 +466,24 @@ class Reading:
     change: Callable[[Case], Case]
     unit: str = ""
     number: float = math.nan
-    carry: tuple[float, ...] = ()  # of a `FRAME`, the pose by which it is moved
+    carry: tuple[float, ...] = ()  # of a `FRAME` the pose by which it is moved, of `PLACED` where it is on the body
 
     @property
     def part(self) -> str:
         """The part of the log that is read otherwise."""
-        return PARTS[self.of]
+        return PARTS.get(self.of, OBSERVATIONS)
 
 
 UNIT, SIDE, EXCHANGED, CLOCK, TURNED = "unit", "side", "exchanged", "clock", "turned"
 WORLD, COMPASS, FRAME, SHIFTED = "world", "compass", "frame", "shifted"
 STRANGE, STILL, ORDER, SCALE = "strange", "still", "order", "scale"
-DOUBLED, HOLD = "doubled", "hold"
+DOUBLED, HOLD, PLACED, SUMMED, UNKNOWN = "doubled", "hold", "placed", "summed", "unknown"
 ODOMETRY, OBSERVATIONS, MAP, TRUTH = "odometry", "observations", "map", "truth"
 PARTS = {
-    **dict.fromkeys(("v", "omega", "v and omega", ODOMETRY), ODOMETRY),
-    **dict.fromkeys(
-        ("range", "bearing", "range and bearing", "sensor", "ids", "ids of the map", "everything", OBSERVATIONS),
-        OBSERVATIONS,
-    ),
-    **dict.fromkeys((MAP, "map.y", "x and y of the map"), MAP),
-    **dict.fromkeys((TRUTH, "truth.x", "truth.y", "truth.theta", "x and y of the truth", "truth's mirror"), TRUTH),
+    **dict.fromkeys(("v", "omega", "v and omega", "bearing and omega", ODOMETRY), ODOMETRY),
+    **dict.fromkeys((MAP, "map.x", "map.y", "x and y of the map"), MAP),
+    **dict.fromkeys((TRUTH, "truth and map", "point of the truth", "truth.x", "truth.y", "truth.theta"), TRUTH),
+    **dict.fromkeys(("x and y of the truth", "truth's mirror"), TRUTH),
 }
 HEARD = {
     ODOMETRY: (BY_TRUTH, "observations and odometry", "observations and map"),
@@ -506,10 +492,12 @@ HEARD = {
     TRUTH: (BY_TRUTH, "observations and truth"),
 }
 """Witnesses that speak of a part."""
-METRES = {unit: LENGTH[unit] for unit in ("mm", "cm", "in", "ft")}
-SPEEDS = {"mm/s": 1e-3, "cm/s": 1e-2, "km/h": 1.0 / 3.6}
+METRES = {unit: metres for unit, metres in LENGTH.items() if unit != "m"}
+SPEEDS = {"mm/s": 1e-3, "cm/s": 1e-2, "ft/s": 0.3048, "km/h": 1.0 / 3.6, "mph": 0.44704, "kn": 1852.0 / 3600.0}
 DEG = math.pi / 180.0
-ABOUT = np.array([0.0, 0.0, 1.0])
+TURNING = {"deg/s": DEG, "mrad/s": 1e-3, "rpm": math.pi / 30.0}
+BEARINGS = {"deg": DEG, "-deg": -DEG, "mrad": 1e-3}
+ABOUT, MIRROR = np.array([0.0, 0.0, 1.0]), np.diag([1.0, -1.0, -1.0])
 
 
 def _arcs(c: Case) -> tuple[Array, Array]:
@@ -543,8 +531,23 @@ def _turning(factor: float) -> Callable[[Case], Case]:
     return change
 
 
+def _rates(factor: float) -> Callable[[Case], Case]:
+    """Velocities times a factor."""
+    return lambda c: replace(c, u=se2.along_arcs(*(factor * np.array(_arcs(c)))))
+
+
+def _since(c: Case) -> Case:
+    """Turn rates that are headings."""
+    heading = c.u[1:, 2] / np.maximum(np.diff(c.time), TINY)
+    return replace(c, u=se2.along_arcs(_arcs(c)[0], np.append(0.0, wrap_angle(np.diff(heading, append=heading[-1:])))))
+
+
 def _seen(*factors: float) -> Callable[[Case], Case]:
     return lambda c: replace(c, z=c.z * factors, R=c.R * np.square(factors))
+
+
+def _swapped(c: Case) -> Case:
+    return replace(c, z=c.z[:, ::-1], R=c.R[:, ::-1])
 
 
 def _on_map(M: Array) -> Callable[[Case], Case]:
@@ -580,6 +583,63 @@ def _heading_off(degrees: float) -> Callable[[Case], Case]:
     return _truly(lambda pose: pose + DEG * degrees * ABOUT)
 
 
+def _from_places(c: Case) -> Case:
+    """Observations that are places in the world, from the robot's pose."""
+    path = c.seen_from or c.along
+    if path is None or not c.cartesian:
+        return c
+    xy = c.z[:, :1] * np.stack([np.cos(c.z[:, 1]), np.sin(c.z[:, 1])], axis=1)
+    x, y = transform_points(inverse(path[0]), xy).T
+    return replace(c, z=np.stack([np.hypot(x, y), np.arctan2(y, x)], axis=1))
+
+
+def _mount(c: Case, s: Samples) -> Reading | None:
+    """The sensor at another place of the robot: by the map from the true path, else by what is seen as it turns."""
+    if c.id is None or (path := c.seen_from or c.along) is None:
+        return None
+    pose, inside = path
+    if c.names is not None and c.seen_from is not None:
+        rows = s.some[inside[s.some]]
+        off = transform_points(inverse(pose[rows]), _place_of(c, c.id[rows])) - c.points(rows, pose[rows, 2])
+        off = off[np.isfinite(off).all(axis=1)]
+        by = np.broadcast_to(np.eye(2), (len(off), 2, 2))
+    elif (found := _changes(c, s, path, c.spread)) is not None:
+        off, by = found[0], found[3]
+    else:
+        return None
+    mount = c.mount + _solved(by, off)
+    return Reading(PLACED, "place of the sensor", lambda c: replace(c, mount=mount), "", *_at(mount - c.mount, mount))
+
+
+def _lever(c: Case, s: Samples) -> Reading | None:
+    """Truth of another point of the robot, by the odometry as it turns."""
+    if c.truth is None or not c.u.any() or c.truth_time is not c.time:
+        return None
+    i, j = (np.concatenate(rows) for rows in zip(*s.spans, strict=True))
+    a, b = between(c.truth[i], c.truth[j]), between(c.odometry[i], c.odometry[j])
+    fine = np.isfinite(a).all(axis=1)
+    at = _solved(se2.worlds_from_bodies(b[fine, 2])[:, :2, :2] - np.eye(2), (a - b)[fine, :2])
+    return Reading(PLACED, "point of the truth", _truly(lambda pose: compose(pose, -at)), "", *_at(at, at))
+
+
+def _at(moved: Array, place: Array) -> tuple[float, tuple[float, ...]]:
+    """How far a point is moved, and where it is then."""
+    return float(np.hypot(*moved[:2])), tuple(place.tolist())
+
+
+ROBUST = 4  # Fits, each without those that the one before left farthest
+
+
+def _solved(A: Array, off: Array) -> Array:
+    """The place (3,) that explains differences (n, 2) by A (n, 2, 2) best, without the largest that are left."""
+    found, left = np.zeros(2), np.zeros(len(off))
+    for _ in range(ROBUST if len(off) >= FEWEST else 0):
+        near = left <= np.quantile(left, KEPT[0])
+        found[:] = np.linalg.lstsq(A[near].reshape(-1, 2), off[near].ravel())[0]
+        left = np.hypot(*(A @ found - off).T)
+    return np.array([*found, 0.0])
+
+
 def _frame(c: Case, rows: IntArray) -> Array | None:
     """The pose (3,) that carries what is observed from the true path onto the map."""
     if c.seen_from is None or c.id is None:
@@ -597,18 +657,27 @@ def _frame(c: Case, rows: IntArray) -> Array | None:
 READINGS: tuple[Reading, ...] = (
     *(Reading(UNIT, "v", _faster(k), unit) for unit, k in SPEEDS.items()),
     Reading(SIDE, "v", lambda c: c if c.kind == "poses" else _faster(-1.0)(c)),
-    Reading(UNIT, "omega", _turning(DEG), "deg/s"),
+    *(Reading(UNIT, "omega", _turning(k), unit) for unit, k in TURNING.items()),
     Reading(SIDE, "omega", _turning(-1.0)),
+    Reading(SUMMED, "omega", _since),
+    Reading(UNIT, "v and omega", lambda c: _rates(60.0)(c) if c.kind == "velocities" else c, "min"),
     Reading(EXCHANGED, "v and omega", lambda c: replace(c, u=se2.along_arcs(*_arcs(c)[::-1]))),
-    *(Reading(UNIT, "range", _seen(k, 1.0), unit) for unit, k in METRES.items()),
-    Reading(UNIT, "bearing", _seen(1.0, DEG), "deg"),
+    *(Reading(UNIT, "range", _seen(k, 1.0), unit) for unit, k in METRES.items() if unit != "km"),
+    *(Reading(UNIT, "bearing", _seen(1.0, k), unit) for unit, k in BEARINGS.items()),
     Reading(SIDE, "bearing", _seen(1.0, -1.0)),
-    Reading(EXCHANGED, "range and bearing", lambda c: replace(c, z=c.z[:, ::-1], R=c.R[:, ::-1])),
+    Reading(SIDE, "bearing and omega", lambda c: _turning(-1.0)(_seen(1.0, -1.0)(c))),
+    Reading(EXCHANGED, "range and bearing", _swapped),
+    Reading(
+        EXCHANGED, "range and bearing", lambda c: _seen(1.0, DEG)(replace(c, z=c.z[:, ::-1], R=c.R[:, ::-1])), "deg"
+    ),
     Reading(WORLD, "bearing", lambda c: replace(c, world=True)),
+    Reading(WORLD, "places", _from_places),
+    Reading(UNIT, "stamps of observations", lambda c: replace(c, at=60.0 * c.at), "min"),
     Reading(TURNED, "sensor", _turned_by(180.0), number=180.0),  # of two parts alone the same as v to the other side
     *(Reading(UNIT, MAP, _on_map(k * np.eye(2)), unit) for unit, k in METRES.items()),
     Reading(EXCHANGED, "x and y of the map", _on_map(np.eye(2)[::-1])),
-    Reading(SIDE, "map.y", _on_map(np.diag([1.0, -1.0]))),
+    *(Reading(SIDE, f"map.{axis}", _on_map(np.diag(m))) for axis, m in (("x", [-1.0, 1.0]), ("y", [1.0, -1.0]))),
+    Reading(SIDE, "truth and map", lambda c: _on_map(MIRROR[:2, :2])(_truly(lambda p: p @ MIRROR)(c))),
     *(Reading(UNIT, TRUTH, _truly(lambda p, k=k: p * [k, k, 1.0]), unit) for unit, k in METRES.items()),  # type: ignore[misc]
     Reading(UNIT, "truth.theta", _truly(lambda p: p * [1.0, 1.0, DEG]), "deg"),
     Reading(SIDE, "truth.theta", _truly(lambda p: p * [1.0, 1.0, -1.0])),
@@ -619,17 +688,14 @@ READINGS: tuple[Reading, ...] = (
     Reading(EXCHANGED, "x and y of the truth", _truly(lambda p: p[:, [1, 0, 2]])),
 )
 
-AGREES = 1.5
-"""Two parts agree if they differ by at most this multiple of the stated noise."""
-LEFT = 2.0
-"""Above this multiple of the stated noise, parts still contradict each other under a reading, and pairs are tried."""
-CLEAR = 20.0
-"""Least gain of a reading in log-likelihood."""
-PLAIN, LESS, POOR = 0.6, 0.8, 0.4
+AGREES = 1.5  # Two parts agree if they differ by at most this multiple of the stated noise
+LEFT = 2.0  # Above this multiple of the stated noise parts contradict each other under a reading, too: pairs are tried
+CLEAR = 20.0  # Least gain of a reading in log-likelihood
+SLIGHT = 0.05  # Least difference that a reading without a number explains: it changes all of what is compared
+PLAIN, LESS, POOR, NEAREST = 0.6, 0.8, 0.4, 0.13
 """Largest share of a witness's difference that another reading may leave (`LESS` if it has a number to fit), and the
-largest difference that it may leave at all, relative to what is compared."""
-CLOSE = 0.01
-"""Readings whose gains differ by at most this share explain the log equally well."""
+largest difference that it may leave at all, relative to what is compared; by the nearest observations, without ids."""
+CLOSE = 0.01  # Readings whose gains differ by at most this share explain the log equally well
 
 
 @dataclass(frozen=True, eq=False)
@@ -643,6 +709,7 @@ class Explained:
     stated: float
     fits: float
     left: bool  # whether parts still contradict each other
+    poor: float = 0.4  # largest difference that it may leave
 
 
 def _told(
@@ -664,31 +731,34 @@ class Examination:
     @property
     def sound(self) -> bool:
         """Whether all parts agree up to their noise."""
-        return all(f is None or f.off <= AGREES * f.noise for fits in self.said.values() for f in fits)
+        return all(f is None or f.agrees for fits in self.said.values() for f in fits)
 
     def judged(self, r: Reading) -> Explained:
         """What a reading gains."""
-        c, gain, sharp, witness, best = r.change(self.case), 0.0, 0.0, "", (1.0, 1.0, 0.0)
-        left = False
+        c, gain, sharp, witness, best = r.change(self.case), 0.0, 0.0, "", (1.0, 1.0, 0.0, 0.0)
+        left, alone, worst = False, _alone(self.case, self.samples), 0.0
         for name, fits in self.said.items():
             if name == "observations and map" and self.case.id is None and r.part != MAP:
                 continue
-            new = WITNESSES[name](c, self.samples) if name in HEARD[r.part] or r.of == ODOMETRY else fits
+            all_parts = r.of in (ODOMETRY, "bearing and omega", "truth and map")
+            new = WITNESSES[name](c, self.samples) if name in HEARD[r.part] or all_parts else fits
             for f, g in zip(fits, new, strict=False):
                 if f is None or g is None:
                     continue
-                more = f.cost - g.cost
+                more = f.cost - g.cost if not f.agrees else min(f.cost - g.cost, 0.0)
                 if self.before and f.noise < LOUDEST:  # a second reading gains nothing by making all motions larger
                     more = min(
                         more, min(f.count, WEIGHT) * math.log((f.off * g.noise + TINY) / (f.noise * g.off + TINY))
                     )
                 gain += more
-                sharp += min(f.count, WEIGHT) * math.log((f.off + EXACT) / (g.off + EXACT))
+                sharp += min(f.count, g.count, WEIGHT) * math.log((f.off + EXACT) / (g.off + EXACT))
                 left |= g.off > LEFT * g.noise
-                # of turns that are noise nothing fits: another one decides that is clear, too
+                worst = max(worst, g.off if g.off > LEFT**2 * g.noise else 0.0)
                 if (more > CLEAR and g.off <= POOR, more) > (best[2] > CLEAR and best[1] <= POOR, best[2]):
-                    witness, best = name, (f.off, g.off, more)
-        return Explained((*self.before, r), gain, sharp, witness, best[0], best[1], left)
+                    witness, best = name, (f.off, g.off, more, g.noise)
+        poor = max(NEAREST, LEFT * best[3]) if alone and witness.startswith(OBSERVATIONS) else POOR
+        poor *= worst <= max(POOR, 4.0 * best[0])  # a small contradiction beside a large one
+        return Explained((*self.before, r), gain, sharp, witness, best[0], best[1], left, poor)
 
     def searched(self, kind: str, of: str, change: Callable[[float], Callable[[Case], Case]], grid: Array) -> Explained:
         """The best of a reading's numbers, between those of a grid."""
@@ -718,7 +788,8 @@ class Examination:
         # bearings in degrees reach beyond a turn; as radians they would lie ahead, and near each other
         radians = float(np.abs(c.z[:, 1]).max(initial=0.0)) <= TURN
         for r in READINGS:
-            if self._told(r.part) and not (radians and r.kind == UNIT and r.of == "bearing"):
+            named = c.kind == "velocities" or r.unit not in ("km/h", "mph", "kn", "rpm")
+            if named and self._told(r.part) and not (radians and r.kind == UNIT and r.of == "bearing"):
                 yield self.judged(r)
         if len(c.z) and c.truth is None and c.names is None:  # where the world's x axis points is unknown, too
             yield self.searched(WORLD, "bearing", lambda x: lambda c: replace(_turned_by(x)(c), world=True), TURNS)
@@ -739,7 +810,7 @@ class Examination:
             if have and self._told(part):
                 of: Callable[[float], Callable[[Case], Case]] = partial(_late, part)
                 near = self.searched(CLOCK, part, of, CLOCKS)
-                far = min(0.5 * float(c.time[-1] - c.time[0]), FARTHEST)
+                far = min(0.95 * float(c.time[-1] - c.time[0]), FARTHEST)
                 told = accepted(near) and not near.left and abs(near.readings[-1].number) < CLOCKS[-1]
                 wide = np.arange(-far, far, 2.0 * (CLOCKS[1] - CLOCKS[0]))
                 told = told or bool(self.before) or far <= CLOCKS[-1] or (c.id is None and len(c.z) > 0)  # much fits
@@ -753,9 +824,10 @@ class Examination:
             yield self.searched(TURNED, "sensor", _turned_by, TURNS)
         if c.truth is not None:
             yield self.searched(TURNED, "truth.theta", _heading_off, TURNS)
+        yield from (self.judged(r) for r in (_mount(c, self.samples), _lever(c, self.samples)) if r is not None)
         if np.ptp(c.u[1:], axis=0).any():  # steps that are all equal are a motion prior, whose length is a guess
             for of in SCALED:
-                if self._told(PARTS[of]):
+                if self._told(PARTS.get(of, OBSERVATIONS)):
                     yield self.scaled(of)
 
     def _told(self, part: str) -> bool:
@@ -764,27 +836,29 @@ class Examination:
 
 SCALED: Mapping[str, Callable[[float], Callable[[Case], Case]]] = {
     "v": lambda k: _faster(k),
+    "omega": lambda k: _turning(k),
+    "v and omega": lambda k: _rates(k),
     "range": lambda k: _seen(k, 1.0),
     MAP: lambda k: _on_map(k * np.eye(2)),
     TRUTH: lambda k: _truly(lambda p: p * [k, k, 1.0]),
 }
 """Quantities that may have another scale."""
-SCALES = np.linspace(-6.0, 6.0, 31)
-"""Logarithms of scales that are tried first."""
-CLOCKS, FARTHEST, TURNS = np.linspace(-6.0, 6.0, 31), 60.0, np.linspace(-165.0, 180.0, 24)
+SCALES = np.linspace(-7.2, 7.2, 37)  # Logarithms of scales that are tried first
+CLOCKS, FARTHEST, TURNS = np.linspace(-6.0, 6.0, 31), 150.0, np.linspace(-165.0, 180.0, 24)
 """Clock offsets [s] and turns [deg] that are tried first, and the largest where none of these explains all; the search
 goes on around the best."""
 ROUND = {CLOCK: (1.0, 0.5, 0.1, 0.05, 0.01, 0.001), TURNED: (90.0, 45.0, 10.0, 5.0, 1.0), SCALE: (0.01,)}
 """Units to which the best offset [s], turn [deg] or logarithm is rounded: the next rounder is exp(0.5) as probable."""
-REFINED = 6
-"""Steps of the search; each is 0.4 times as wide as the one before."""
+REFINED = 6  # Steps of the search; each is 0.4 times as wide as the one before
 
 
 def accepted(e: Explained) -> bool:
     """Whether a reading explains clearly what does not fit as stated."""
     r = e.readings[-1]
     share = LESS if r.kind in LEAST else PLAIN
-    return e.gain > CLEAR and e.fits <= min(share * e.stated, POOR) and _matters(r)
+    far = any(r.kind == CLOCK and abs(r.number) > CLOCKS[-1] for r in e.readings)  # at one of many some fit by chance
+    plain = e.gain > CLEAR and e.fits <= min(share * e.stated, e.poor / 2.0 if far else e.poor)
+    return plain and _matters(r) and ((r.kind in LEAST and "omega" not in r.of) or e.stated > SLIGHT)
 
 
 def _matters(r: Reading) -> bool:
@@ -792,22 +866,18 @@ def _matters(r: Reading) -> bool:
     return r.kind not in LEAST or abs(math.log(r.number) if r.kind == SCALE else r.number) >= LEAST[r.kind]
 
 
-LARGER = 0.2
-"""Least logarithm of a scale that is named: wheels are wrong by less, and `--calibrate` finds that."""
-LEAST = {CLOCK: 0.03, TURNED: 10.0, SCALE: LARGER}
-"""Least offsets [s], turns [deg] and logarithms of scales."""
-SIZE = "size"
+LARGER = 0.2  # Least logarithm of a scale that is named: wheels are wrong by less, and `--calibrate` finds that
+LEAST = {CLOCK: 0.03, TURNED: 10.0, SCALE: LARGER, PLACED: 0.1}  # Least s, deg, logarithms of scales and m
+SIZE, NAMES, ROWS = "size", "names", "rows"
 BRISK, SPEED, CRAWL, SLOW = 5.0, 50.0, 200.0, 0.05
 """Median speeds [m/s]: below the first lengths may be in m, above the second in cm, above the third in mm; between the
 last and the first another unit may be right, too."""
-SMALL_NOISE, CENTIMETRES = 30.0, 300.0
-"""Multiples of the stated noise by which ranges change otherwise than predicted: above the first lengths are in cm,
-above the second in mm, as the noise is in m."""
-TURN = 2.0 * math.pi
-FASTEST = TURN
-"""rad/s; all recordings and worlds turn at most 1.7 rad in a second."""
-SHARE = 0.01
-"""Smallest share of turning seconds above `FASTEST`: a single slip or jump raises no question."""
+CREEP, CLOSE_BY = 5e-3, 0.1  # m/s and m: no robot is slower that sees no farther; lengths are in km
+SMALL_NOISE, INCHES, CENTIMETRES = 30.0, 63.0, 300.0
+"""Multiples of the stated noise by which ranges change otherwise than predicted: above the first lengths are in inches,
+above the second in cm, above the third in mm, as the noise is in m."""
+TURN = FASTEST = 2.0 * math.pi  # rad; rad/s: all recordings and worlds turn at most 1.7 rad in a second
+SHARE = 0.01  # Smallest share of turning seconds above `FASTEST`: a single slip or jump raises no question
 
 
 def _by_size(x: Examination) -> list[Explained]:
@@ -818,13 +888,18 @@ def _by_size(x: Examination) -> list[Explained]:
         moved = np.hypot(c.u[1:, 0], c.u[1:, 1]) / np.diff(c.time)
         moved = moved[moved > 0.0]
         speed = float(np.median(moved)) if len(moved) >= FEWEST else 0.0
-        over = _over_noise(c, x.samples) if speed > BRISK else 1.0
+        tiny = 0.0 < speed < CREEP and float(c.z[:, 0].max(initial=0.0)) < CLOSE_BY
+        over = _over_noise(c, x.samples) if speed > BRISK or tiny else 1.0
+        if tiny:
+            return _told(UNIT, "everything", SIZE, speed, METRES["km"] * speed, "km", over)
         if speed > SPEED or over > SMALL_NOISE:
-            large = over > CENTIMETRES if over > SMALL_NOISE else speed > CRAWL
-            units = ("mm", "cm") if large else ("cm", "mm")
+            units = ["mm", "cm"] if (over if over > SMALL_NOISE else 2.0 * speed) > CENTIMETRES else ["cm", "mm"]
+            if over > SMALL_NOISE:  # errors of an inch are 39 times as large
+                units.insert(0 if over < INCHES else 2, "in")
             told = [_told(UNIT, "everything", SIZE, speed, METRES[u] * speed, u, over)[0] for u in units]
-            noise = 1.0 if over == 1.0 else over * METRES[units[1]]  # over the stated one
-            return told[: 1 + (SLOW <= told[1].fits <= BRISK and 0.1 < noise < 2.0)]
+            noise = [1.0 if over == 1.0 else over * METRES[u] for u in units]  # over the stated one
+            fine = [SLOW <= e.fits <= BRISK and 0.1 < n < 2.0 for e, n in zip(told, noise, strict=True)]
+            return told[:1] + [e for e, likely in zip(told[1:], fine[1:], strict=True) if likely]
         true = np.zeros(1) if c.truth is None else np.nan_to_num(np.diff(c.truth[:, 2]))
         for of, turn in (("omega", c.u[1:, 2]), ("truth.theta", true)):
             if len(turn) == len(c.time) - 1 and (rate := fastest(c.time, turn)):
@@ -905,14 +980,14 @@ def _strange(x: Examination) -> list[Explained]:
         ("ids of the map", true, 1, plain.said[true]), ("ids of the map", mapped, 0, x.said[moves]),
     ):  # fmt: skip
         stated, fits = ([*fits, None, None][min(k, len(fits))] for fits in (x.said[name], others))
-        if stated is not None and fits is not None and stated.off > max(LEFT * stated.noise, ALIEN) and fits.off < NEAR:
+        if stated is None or fits is None or stated.off <= max(LEFT * stated.noise, ALIEN):
+            continue
+        if fits.off < (max(NEAREST, LEFT * fits.noise) if of == "ids" else NEAR):
             return _told(STRANGE, of, name, stated.off, fits.off, gain=stated.cost - fits.cost)
     return []
 
 
-NAMES = "names"
-ALIEN, NEAR = 0.5, 0.35
-"""Ids name other landmarks if the difference with them is above the first, and without them below the second."""
+ALIEN, NEAR = 0.5, 0.35  # Ids are of others if the difference is above the first with them, below the second without
 
 
 def _doubled(x: Examination) -> list[Explained]:
@@ -923,9 +998,7 @@ def _doubled(x: Examination) -> list[Explained]:
     return _told(DOUBLED, OBSERVATIONS, ROWS, share) if share > TWICE else []
 
 
-ROWS = "rows"
-TWICE = 0.1
-"""Least share of repeated observations; sensors that measure twice the same have none."""
+TWICE = 0.1  # Least share of repeated observations; sensors that measure twice the same have none
 
 
 def _headings(x: Examination, *, explained: bool) -> list[Explained]:
@@ -964,35 +1037,38 @@ def paths_otherwise(
         nothing = np.zeros((0, 2))
         c = Case(time, u, 0.0 * u, other[0], own, time, none, time[:0], nothing, nothing, np.zeros(3), None, None, None)
         x = Examination(c, samples(c))
-        if all(f is None or f.off <= WELL for fits in x.said.values() for f in fits):
+        if all(f is None or f.off <= SLIGHT for fits in x.said.values() for f in fits):
             return None
         # where the paths lie on each other but for a turn, only headings are wrong
         fitted = transform_points(rigid_fit(own[:, :2], other[:, :2]), own[:, :2]) - other[:, :2]
         lie = np.mean(fitted**2) < WELL**2 * np.mean(np.var(other[:, :2], axis=0))
-        singles = [
-            x.judged(r) for r in READINGS if r.part == TRUTH and r.unit != "deg" and (r.of == "truth.theta" or not lie)
-        ]
+        fast = np.median(np.hypot(*np.diff(other[:, :2], axis=0).T) / np.diff(time)) > SPEED
+        wrong = ("deg", "yd", *["km"] * bool(fast))  # a scale of 1.09 is likelier than yards, mm likelier than km
+        some = (r for r in READINGS if r.part == TRUTH and r.of != "truth and map" and r.unit not in wrong)
+        singles = [x.judged(r) for r in some if r.of == "truth.theta" or not lie]
         if (headings := raw[k]) is not None and np.std(headings) > TURNS_ABOUT:
             degrees = np.column_stack([own[:, :2], DEG * headings])
             singles.append(x.judged(Reading(UNIT, "truth.theta", lambda c, d=degrees: replace(c, truth=d), "deg")))  # type: ignore[misc]
-        plain += [(k, e) for e in singles if accepted(e)]
+        plain += [(k, e) for e in singles if accepted(e) and (e.stated > WELL or e.fits < EXACTLY * e.stated)]
         if all(e.fits > WELL for _, e in plain):
             scaled, turned = x.scaled(TRUTH), x.searched(TURNED, "truth.theta", _heading_off, TURNS)
             best = [scaled, *([turned] if abs(turned.readings[0].number) > MOUNTED else [])]
-            numbered += [(k, e) for e in best if accepted(e)]
+            numbered += [(k, e) for e in best if accepted(e) and e.stated > WELL]
+            exactly = scaled.gain > CLEAR and scaled.stated > SLIGHT and scaled.fits < EXACTLY * scaled.stated
+            numbered += [(k, scaled)] * exactly
     found = [*plain, *numbered]
     most = max((e.gain for _, e in found), default=0.0)
     return next(((k, e) for k, e in found if e.gain >= most - max(2.0, CLOSE * most)), None)
 
 
-TURNS_ABOUT, MOUNTED, WELL = 0.3, 17.0, 0.15
+TURNS_ABOUT, MOUNTED, WELL, EXACTLY = 0.3, 17.0, 0.15, 0.25
 """rad, least deviation of headings whose unit shows; deg, least turn of headings that is none of their
-errors; share of the motions up to which two paths differ by errors alone."""
+errors; share of the motions up to which two paths differ by errors alone, unless a reading leaves less than that share
+of it."""
 ORDERS = {"turn-first": 0.5, "drive-first": -0.5}
 """By name: share of a step's turn by which its motion points further than along the arc. A chord in the middle heading,
 the third order of the textbooks, differs from the arc by a 24th of the turn's square only."""
-FRAMES = (1, 4, 16)
-"""Frames between compared true poses: over more of them the order shows through noisy or rarely known ones."""
+FRAMES = (1, 4, 16)  # Frames between compared true poses: over more the order shows through noisy or rare ones
 RIGHT_SIZE, UNSEEN, SOME, FAR = 0.3, 10.0, 30, 16.0
 """Largest difference of the fitted share of half a turn from 1 (another cause has another size); least gain without
 truth, where pairs of frames show little; fewest differences; squared sigmas beyond which one is of something else."""
@@ -1087,6 +1163,7 @@ def explanations(c: Case) -> list[Explained]:
         singles = sorted([*singles, *x.numbered()], key=lambda e: -e.gain)
         found = [e for e in singles if accepted(e)]
     seeds = found[:1] or [e for e in singles[:3] if e.gain > CLEAR and _matters(e.readings[0])]
+    seeds = [e for e in seeds if e.readings[0].kind != SUMMED]  # which is half a frame late
     if not found or found[0].left:
         for e in seeds:
             both = Examination(e.readings[0].change(c), s, e.readings)
@@ -1096,8 +1173,12 @@ def explanations(c: Case) -> list[Explained]:
             for more in (*both.plain(), *both.numbered()):
                 if accepted(more) and more.readings[0].of != more.readings[1].of:
                     found.append(replace(more, gain=e.gain + more.gain))
-    if not found:
-        return _order(x)
+    if all(e.readings[0].kind == PLACED for e in found) and (order := _order(x)):  # on a circle both are the same
+        return order
+    if not found:  # the largest contradiction
+        each = [(f.off, n) for n, fits in x.said.items() for f in fits if f is not None and f.off > LEFT**2 * f.noise]
+        worst, name = max(each, default=(0.0, ""))
+        return _told(UNKNOWN, ODOMETRY, name, worst, worst) if worst > ALIEN and not _alone(c, s) else []
     best = max(found, key=lambda e: e.gain)
     equal = [
         e for e in found if e.gain >= best.gain - max(2.0, CLOSE * best.gain) and len(e.readings) == len(best.readings)
@@ -1105,27 +1186,20 @@ def explanations(c: Case) -> list[Explained]:
     scales = [e.readings[-1] for e in equal if e.readings[-1].kind == SCALE]
     # a number near that of a unit is that unit's
     plain = list({(r.kind, r.of): e for e in equal if (r := e.readings[-1]).kind != SCALE}.values())
-    sizes = SPEEDS | METRES
+    sizes = SPEEDS | METRES | TURNING | {"min": 60.0}
     for e in (e for e in singles if e not in plain and e.readings[-1].kind == UNIT):
         of, size = e.readings[-1].of, sizes.get(e.readings[-1].unit, math.inf)
         # of two parts alone a large number is known less well; units are ten times another
-        off = [(abs(math.log(s.number * size)), 0.16 * abs(math.log(s.number))) for s in scales if s.of == of]
+        off = [(abs(math.log(s.number * size)), 0.16 * abs(math.log(s.number))) for s in scales if of in s.of]
         plain += [e] * any(d < max(0.5 * LARGER, most) for d, most in off)
+    most = max((e.gain for e in plain), default=0.0)
+    plain = [e for e in plain if e.gain >= most - max(2.0, CLOSE * most)]
     result = sorted(plain or equal, key=lambda e: -e.gain)
     if c.truth is None and c.id is not None:  # the prior decides
-        result = [e for e in result if _from_prior(c, s, e) <= POOR] or result
+        read = [reduce(lambda case, r: r.change(case), e.readings, c) for e in result]
+        fits = [None if y.along is None else _placed(y, s.soon, y.along, drift=True) for y in read]
+        result = [e for e, f in zip(result, fits, strict=True) if f is not None and f.off <= POOR] or result
     return result
-
-
-def _from_prior(c: Case, s: Samples, e: Explained) -> float:
-    """How far off the map's landmarks are observed from the prior on, if all is read otherwise."""
-    for r in e.readings:
-        c = r.change(c)
-    fit = None if c.along is None else _placed(c, s.soon, c.along, drift=True)
-    return math.inf if fit is None else fit.off
-
-
-# ---- what is asked
 
 
 def contradictions(log: Log) -> list[Notice]:
@@ -1138,26 +1212,18 @@ def contradictions(log: Log) -> list[Notice]:
     together = len(best.readings) > 1
     readings = best.readings if together else tuple(e.readings[0] for e in found)
     readings += _held(readings[0], log) if len(readings) == 1 else ()
-    each = [flags_of(r, log) for r in readings]
+    placed = any(r.of == "place of the sensor" for r in readings)  # which has its turn, too
+    each = [() if placed and r.of == "sensor" else flags_of(r, log) for r in readings]
     values = dict[str, list[str]]()  # of each flag, of all readings that hold together
     for name, _, value in (f.partition(" ") for fs in each[: len(readings) if together else 1] for f in fs):
         values.setdefault(name, []).extend([value] * bool(value))
-    return [
-        notice(
-            Code.CONTRADICTION,
-            kinds=tuple(r.kind for r in readings),
-            of=tuple(r.of for r in readings),
-            units=tuple(r.unit for r in readings),
-            numbers=tuple(r.number for r in readings),
-            together=together,
-            witness=best.witness,
-            gain=best.gain,
-            stated=best.stated,
-            fits=best.fits,
-            flags=tuple(" ".join([name, ",".join(v)]) if v else name for name, v in values.items()),
-            others=() if together else tuple(" ".join(f) for f in each[1:]),
-        )
-    ]
+    kinds, of, units, numbers = zip(*((r.kind, r.of, r.unit, r.number) for r in readings), strict=True)
+    flags = tuple(" ".join([name, ",".join(v)]) if v else name for name, v in values.items())
+    others = () if together else tuple(" ".join(f) for f in each[1:])
+    return [notice(
+        Code.CONTRADICTION, kinds=kinds, of=of, units=units, numbers=numbers, together=together, witness=best.witness,
+        gain=best.gain, stated=best.stated, fits=best.fits, flags=flags, others=others,
+    )]  # fmt: skip
 
 
 def _held(r: Reading, log: Log) -> tuple[Reading, ...]:
@@ -1196,20 +1262,21 @@ def flags_of(r: Reading, log: Log) -> tuple[str, ...]:
     bearings = "observations.y" if cartesian else "observations.bearing"
     columns = {
         "v": lengths, "omega": angles, "range": ranges, "bearing": bearings,
-        MAP: "map.x,map.y", TRUTH: "truth.x,truth.y",
-        **{key: key for key in ("map.y", "truth.x", "truth.y", "truth.theta")},
+        MAP: "map.x,map.y", TRUTH: "truth.x,truth.y", "stamps of observations": "observations.t",
+        **{key: key for key in ("map.x", "map.y", "truth.x", "truth.y", "truth.theta")},
+        "bearing and omega": f"{angles},{bearings}", "truth and map": "truth.y,truth.theta,map.y",
         "truth's mirror": "truth.y,truth.theta", "v and omega": "odometry.v,odometry.omega",
         "range and bearing": "observations.range,observations.bearing", "x and y of the map": "map.x,map.y",
         "x and y of the truth": "truth.x,truth.y",
     }  # fmt: skip
-    if r.of == "everything" and not r.number > SMALL_NOISE:
+    if r.of == "everything" and 1.0 / SMALL_NOISE < r.number <= SMALL_NOISE:
         return (f"--unit length={r.unit}",)
     if r.of == "everything":  # but the lengths of flags, which `length` is of, too
         placed = cartesian or log.recorded.map is not None or log.truth.pose is not None
         way = [key.partition(".")[2] for key in lengths.split(",")]
         keyed = dict.fromkeys([*way, *["range"] * (not cartesian), *["x", "y"] * placed])
         return ("--unit " + ",".join(f"{key}={r.unit}{'/s' * (key == 'v')}" for key in keyed),)
-    keys = columns.get(r.of, "").split(",")
+    keys = ["time"] if r.kind == UNIT and r.of == "v and omega" else columns.get(r.of, "").split(",")
     if r.kind in (UNIT, SIDE) or (r.kind == STRANGE and r.unit):
         pairs = [f"{key}={_unit(log, key, r)}" for key in keys]
         return ("--unit " + ",".join(pairs),)
@@ -1224,12 +1291,14 @@ def flags_of(r: Reading, log: Log) -> tuple[str, ...]:
     if r.kind == EXCHANGED:
         a, b = keys
         names = [given.get(key, given.get(key.partition(".")[2], key.partition(".")[2])) for key in (a, b)]
-        return (f"--columns {a}={names[1]},{b}={names[0]}",)
+        return (f"--columns {a}={names[1]},{b}={names[0]}", *[f"--unit {b}={r.unit}"] * bool(r.unit))
     if r.kind in (ORDER, HOLD):
         return (f"--{'integrate' if r.kind == ORDER else 'hold'} {r.unit}",)
     if r.kind == CLOCK:
         added = float(_given(log, "time_offset").get(r.of, 0.0))
         return (f"--time-offset {r.of}={added - r.number:.6g}",)
+    if r.of == "place of the sensor":
+        return (f"--sensor-pose={as_pose(np.array(r.carry), metres_of(log))}",)
     if r.kind == TURNED and r.of == "sensor":
         s = log.recorded.sensor
         pose = inverse(np.array([*s.translation, s.rotation])) + 0.0

@@ -16,10 +16,8 @@ from data.timeline import MAX_GAP
 from data.truth import UNKNOWN_ID
 from data.words import environment
 
-JUMP = 10.0
-"""Speed of a jump over the median speed while moving."""
-SHOWN = 5
-"""Number of places of an oddity that are named."""
+JUMP = 10.0  # Speed of a jump over the median speed while moving
+SHOWN = 5  # Number of places of an oddity that are named
 
 Line = tuple[str, str]
 

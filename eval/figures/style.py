@@ -196,34 +196,14 @@ BAND: dict[str, Any] = {"color": BAND_COLOUR, "alpha": 0.45, "linewidth": 0.0}  
 
 RC: dict[RcKeyType, Any] = {
     "font.family": ["DejaVu Sans"],  # comes with matplotlib, so a figure does not depend on the machine's fonts
-    "font.size": 8.0,
-    "axes.titlesize": 8.0,
-    "axes.labelsize": 8.0,
-    "legend.fontsize": 7.0,
-    "xtick.labelsize": 7.0,
-    "ytick.labelsize": 7.0,
-    "figure.titlesize": 8.5,
-    "axes.linewidth": 0.6,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#E4E4E4",
-    "grid.linewidth": 0.5,
-    "hatch.linewidth": 0.5,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.major.size": 2.5,
-    "ytick.major.size": 2.5,
-    "lines.linewidth": 0.9,
-    "lines.markersize": 4.0,
-    "legend.frameon": False,
-    "legend.handlelength": 2.4,
-    "legend.borderaxespad": 0.3,
-    "figure.constrained_layout.use": True,
-    "savefig.dpi": PNG_DPI,
-    "pdf.fonttype": 42,
-    "image.composite_image": False,
+    "font.size": 8.0, "axes.titlesize": 8.0, "axes.labelsize": 8.0, "legend.fontsize": 7.0, "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0, "figure.titlesize": 8.5, "axes.linewidth": 0.6, "axes.grid": True, "axes.axisbelow": True,
+    "grid.color": "#E4E4E4", "grid.linewidth": 0.5, "hatch.linewidth": 0.5, "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6, "xtick.major.size": 2.5, "ytick.major.size": 2.5, "lines.linewidth": 0.9,
+    "lines.markersize": 4.0, "legend.frameon": False, "legend.handlelength": 2.4, "legend.borderaxespad": 0.3,
+    "figure.constrained_layout.use": True, "savefig.dpi": PNG_DPI, "pdf.fonttype": 42, "image.composite_image": False,
     "text.usetex": False,
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -118,14 +118,13 @@ def manner_of(name: str, names: Sequence[str], reading: Matching) -> Manner:
 
 def _columns_of(name: str, names: Sequence[str], reading: Scoring) -> dict[str, str]:
     """Columns of a file by role: those of its name, else those of all."""
-    own: dict[str, str] = {}
-    every: dict[str, str] = {}
+    found: dict[str, dict[str, str]] = {"": {}, name: {}}
     for key, column in pairs(list(reading.columns), "columns").items():
         who, _, role = key.rpartition(".")
         _known("--columns", role, KEYS)
         _known("--columns", who, ("", *names, TRUTH))
-        ({who == name: own, who == "": every}.get(True, {}))["yaw" if role == "theta" else role] = column
-    return every | own
+        found.get(who, {})["yaw" if role == "theta" else role] = column
+    return found[""] | found[name]
 
 
 KEYS = ("t", "x", "y", "z", "theta", "roll", "pitch", "qx", "qy", "qz", "qw")
@@ -290,7 +289,7 @@ def _kept(result: Result, log: Log) -> MapAndDecisions:
         k = int(off[0])
         found, needed = (f"frame {i}, observation {j}" for i, j in (decisions[k, :2], (frame[k], within[k])))
         raise DataError.at(str(b.file), f"{found}; {needed} of log {log.name!r} is needed", line=k + 2)
-    return MapAndDecisions(b.landmarks, decisions[:m, 2], decisions[:m, 3])
+    return MapAndDecisions(b.landmarks, *decisions[:m, 2:].T)
 
 
 @dataclass(frozen=True, eq=False)

@@ -80,21 +80,12 @@ def former_observations(run: Run, inputs: Inputs) -> tuple[Array, IntArray, Bool
     paired = np.isin(run.decisions, number)
     paired[paired] = frame[paired] >= first[slot[paired]] + OLD
     sensed: BoolArray = np.bincount(frame, minlength=n) > 0
-    could = np.zeros(n)
-    for k in np.flatnonzero(sensed):
-        there = xy[first <= k - OLD]
-        if len(there):
-            could[k] = _well_inside(inputs, run.online.pose[k], there).sum()
-    return could, np.bincount(frame[paired], minlength=n), sensed
-
-
-def _well_inside(inputs: Inputs, pose: Array, xy: Array) -> BoolArray:
-    """Which landmarks (n, 2) are well inside the field of view of a robot at `pose`."""
-    s = inputs.sensor
-    r, angle = s.polar(s.predict(pose, xy)).T
+    could, s = np.zeros(n), inputs.sensor
     middle, half = 0.5 * (s.min_angle + s.max_angle), 0.5 * (s.max_angle - s.min_angle)
-    inside: BoolArray = (r < EDGE * s.max_range) & (np.abs(angle - middle) < EDGE * half)
-    return inside
+    for k in np.flatnonzero(sensed):
+        r, angle = s.polar(s.predict(run.online.pose[k], xy[first <= k - OLD])).T
+        could[k] = ((r < EDGE * s.max_range) & (np.abs(angle - middle) < EDGE * half)).sum()  # well inside
+    return could, np.bincount(frame[paired], minlength=n), sensed
 
 
 def _absurd(run: Run, inputs: Inputs) -> Notice | None:

@@ -20,15 +20,13 @@ from eval.referee.residuals import used_by
 from graph.optimum import SUSPECT
 
 IMPLAUSIBLE = "implausible"  # the status word
-ABSURD = 100.0
-"""NIS per degree of freedom: innovations of 10 sigma on average. Sigmas stated at half give 4, lost runs above 400."""
+ABSURD = 100.0  # NIS per degree of freedom, 10 sigma on average: sigmas stated at half give 4, lost runs above 400
 SIGMAS = 3.0  # sigmas that are added to the length of every increment
 MARGIN = 2.0
 """Factor of the distance driven, the sensor's range, and dead reckoning's sigma. Arena, circle, corridor, park and
 linear world use at most 0.44, 1.0 and 0.23 of them; a scale that is wrong by half stays within."""
 WILD = 10.0  # sigmas of an observation that are added to the range
-LEFT_OUT = 0.1
-"""Suspicious share of labelled observations that a gate discarded; with misread labels it is at most 0.0012."""
+LEFT_OUT = 0.1  # Suspicious share of labelled observations that a gate discarded; misread ones give 0.0012
 
 
 def judged(runs: Sequence[Run], inputs: Inputs) -> list[Run]:

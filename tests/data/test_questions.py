@@ -180,7 +180,7 @@ def test_each_question_has_the_flag_that_mends_it(arena):
 ])  # fmt: skip
 def test_the_unit_of_turning_is_that_of_the_column(arena, kind, flag):
     u = arena.recorded.increments
-    fast = recorded(arena, increments=Increments(u.mean * [1.0, 1.0, 100.0], u.covariance))
+    fast = recorded(arena, increments=Increments(u.mean * [1.0, 1.0, np.degrees(1.0)], u.covariance))
     assert flag in flags(replace(fast, source={"odometry_kind": kind}))
 
 

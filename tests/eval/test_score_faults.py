@@ -111,7 +111,7 @@ def test_names_of_columns_decide_their_order_and_units(kind, scored):
     ("#timestamp,x,y,qx,qy,qz,w_rate", "no column qw"),
     ("timestamp,x,z,qx,qy,qz,qw", "no column y"),
     ("timestamp,x,y,x,yaw,a,b", "both name x"),
-    ("t [s],x [yd],y [yd],yaw [rad],a,b,c", "unit 'yd' of x"),
+    ("t [s],x [rod],y [rod],yaw [rad],a,b,c", "unit 'rod' of x"),
     ("t [s],x,y,yaw [gon],a,b,c", "unit 'gon' of yaw"),
     ("t [min],x,y,yaw,a,b,c", "unit 'min' of t"),
 ])  # fmt: skip
@@ -460,6 +460,11 @@ OTHERWISE = {
     "a compass": (WAY * [1, 1, 1, -1] + [0, 0, 0, 0.5 * math.pi], "90 deg minus them"),
     "another axis": (WAY + [0, 0, 0, 0.5 * math.pi], "turned by -90 deg"),
     "another scale": (WAY * [1, 1.4, 1.4, 1], "--align sim3"),
+    "an eighth": (WAY * [1, 1.125, 1.125, 1], "--align sim3"),
+    "an antenna": (
+        WAY + 0.5 * np.stack([0 * WAY[:, 3], np.cos(WAY[:, 3]), np.sin(WAY[:, 3]), 0 * WAY[:, 3]], 1),
+        "0.5",
+    ),
     "feet": (WAY / [1, 0.3048, 0.3048, 1], "--unit estimate=ft"),
     "nothing": (WAY, None),
 }

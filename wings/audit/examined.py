@@ -331,10 +331,10 @@ def _facts(report: AuditReport) -> SimpleNamespace:
     return SimpleNamespace(
         factors=int(factors["chi2"].notna().sum()),
         chi2=float(factors["chi2"].sum()),
-        rejected=a.rejected,
         wrong=len(a.wrong) or len(wrong),
-        # rejected only beside them
+        # rejected only beside them; those of them that stand for rejected ones, and are not rejected themselves
         beside=len(set(wrong.index) - set(a.wrong.tolist())),
+        standing=len(set(a.wrong.tolist()) - set(wrong.index)),
         rest=a.freedom - int(factors["dim"].to_numpy()[a.wrong].sum()),
         explained=len(wrong) * explained,
         # the wrong ones, if they are several but few

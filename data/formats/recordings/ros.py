@@ -22,8 +22,7 @@ from data.se2 import Array
 
 SCAN, ODOMETRY, TRANSFORMS = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
 OLD_TRANSFORMS = "tf/msg/tfMessage"
-TF = "tf"
-"""In place of a topic of odometry: the transform from the odometry's frame to the robot's."""
+TF = "tf"  # In place of a topic of odometry: the transform from the odometry's frame to the robot's
 BROKEN = (
     *(OSError, ValueError, LookupError, EOFError, RuntimeError, ArithmeticError, AssertionError),
     *(AttributeError, TypeError, SyntaxError, MemoryError, StopIteration, struct.error),

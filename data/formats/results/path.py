@@ -17,11 +17,9 @@ from data.se2 import Array
 
 DIGITS = {"s": 0, "ms": 3, "us": 6, "ns": 9}
 STATED, SIZE, RATE, ASSUMED, ROWS = "stated", "size", "rate", "assumed", "rows"
-EPOCH = (1e8, 4.2e9)
-"""s since 1970 of years 1973 to 2103."""
+EPOCH = (1e8, 4.2e9)  # s since 1970 of years 1973 to 2103
 STEPS = (1e-4, 5.0)  # s, intervals between successive poses of a trajectory
-SLOWEST, ABSURD = 600.0, 1e-5
-"""s, largest interval beside a stamp since 1970, and smallest interval that a stated unit may give."""
+SLOWEST, ABSURD = 600.0, 1e-5  # s, largest interval beside a stamp since 1970, and smallest that a stated unit may give
 
 
 @dataclass(frozen=True)
@@ -86,8 +84,7 @@ FRAMES = (WORLD, LOCAL, LEFT, MIXED)
 perturbation); T = Exp(xi) T_mean, in the world's axes about its origin (left perturbation); position in the world's
 axes and rotation in the body's (OpenVINS)."""
 ROBOT, CAMERA = "robot", "camera"
-AXES = (ROBOT, CAMERA)
-"""Axes of world and body: x forward, y left, z up (REP 103); or x right, y down, z forward, as in KITTI."""
+AXES = (ROBOT, CAMERA)  # Of world and body: x forward, y left, z up (REP 103); x right, y down, z forward (KITTI)
 TRANSLATION, ROTATION = "translation-first", "rotation-first"
 COV_ORDERS = (TRANSLATION, ROTATION)
 
@@ -207,8 +204,7 @@ def unturned(quaternion: Array, position: Array) -> bool:
     return bool((q[:, :3] == 0.0).all() and (q[:, 3] != 0.0).all() and step[:, 0].sum() < AHEAD * moved.sum())
 
 
-AHEAD = 0.5
-"""Least share of its way that a robot of heading 0 gets ahead along x: on average less than 60 deg to either side."""
+AHEAD = 0.5  # Least share of its way that a robot of heading 0 gets ahead along x: less than 60 deg to either side
 
 
 def without_headings(path: GivenPath) -> GivenPath:

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from data.columns.named import COVARIANCE, LENGTH, STAMP, YAW
 from data.csv_table import is_number, symmetric
@@ -34,12 +34,10 @@ AROUND = frozenset(("pose", "field", "gt", "true", "truth", "groundtruth", "est"
 AROUND |= frozenset(("reference", "world", "map", "odom", "rs", "r", "header", "elapsed", "sim", "ros", "unix", "utc"))
 AROUND |= frozenset(("hat", "ekf", "ukf", "kf", "pf", "slam"))
 """Words that may stand around the name of a column."""
-TRUE = frozenset(("gt", "true", "truth", "groundtruth"))
-"""Of these, those of the true path, where a row holds the estimate, too."""
+TRUE = frozenset(("gt", "true", "truth", "groundtruth"))  # Those of the true path, where a row holds both
 SIDES = TRUE | {"est", "estimate", "estimated", "hat", "ekf", "ukf", "kf", "pf", "slam", "odom", "ref"}
 """Of these, those that may stand behind a name."""
-NANOSECONDS = frozenset(("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds"))
-"""Beside whole seconds; alone they are the stamp."""
+NANOSECONDS = frozenset(("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds"))  # Beside seconds, or alone
 ANGLES = {"roll": "roll", "pitch": "pitch", **dict.fromkeys(YAW, "yaw")}
 TURNS = {"rad": 1.0, "deg": np.pi / 180.0}
 ALIAS = (
@@ -52,8 +50,7 @@ GROUPS = {"p": ("x", "y", "z"), "q": ("qx", "qy", "qz", "qw"), "v": ("vx", "vy",
 """Names of several columns each, as in `# timestamp(s) q p v bg ba` of OpenVINS' states."""
 SHOWN = 6  # Most names in a note
 WELL_KNOWN: dict[tuple[str, ...], str] = {POSE: "TUM", ("t", "x", "y", "z", "qw", "qx", "qy", "qz"): "EuRoC CSV"}
-PLANE = ("t", "x", "y", "theta")
-"""Columns of our own files, with `COVARIANCE`."""
+PLANE = ("t", "x", "y", "theta")  # Columns of our own files, with `COVARIANCE`
 NANOSECONDS_FROM = 1e14  # Smallest stamp that is taken for ns: a day of them, or three million years of seconds
 
 
@@ -287,7 +284,8 @@ def _spatial(
     else:
         angles = np.column_stack([value["yaw"], value.get("pitch", zero), value.get("roll", zero)])
         lost = ~np.isfinite(angles).all(axis=1, keepdims=True)
-        q = np.where(lost, np.nan, Rotation.from_euler("ZYX", np.where(lost, 0.0, angles)).as_quat())
+        turns = scipy.spatial.transform.Rotation.from_euler("ZYX", np.where(lost, 0.0, angles))
+        q = np.where(lost, np.nan, turns.as_quat())
     pose = np.column_stack([value["t"], value["x"], value["y"], value.get("z", zero), q])
     C: Array | None = None
     frame, stated = LOCAL, Stated()

@@ -175,8 +175,7 @@ def ignored(path: GivenPath) -> str:
     return ", ".join(said)
 
 
-ASYMMETRY = 1e-3
-"""Largest difference of two mirrored entries, in products of the standard deviations; messages round to float32."""
+ASYMMETRY = 1e-3  # Largest difference of mirrored entries, in products of sigmas; messages round to float32
 SWAP = [3, 4, 5, 0, 1, 2]  # From rotation first to translation first, and back
 
 

@@ -238,9 +238,9 @@ def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
 
 ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
-DIMENSIONS = {"length": LENGTH, "angle": ANGLE, "time": TIME}
-ISO = "iso"
-"""Unit of time for a column of dates."""
+DIMENSIONS = {"length": LENGTH | {"mi": 1609.344, "nmi": 1852.0}, "angle": ANGLE, "time": TIME}
+RATES = {"kmh": "km/h", "kph": "km/h", "mph": "mi/h", "kn": "nmi/h", "rpm": "rev/min", "dps": "deg/s"}  # Names
+ISO = "iso"  # Unit of time for a column of dates
 
 STAMPS = ("t", "t1", "t2")
 INSTANTS = {*STAMPS, "frame", "frame1"}
@@ -290,6 +290,7 @@ class Units:
 def factor(dimension: str, text: str, where: str) -> float:
     """SI units per unit `text`, with a minus sign for clockwise angles; UsageError for an unknown one."""
     sign, unit = (-1.0, text[1:]) if text.startswith("-") else (1.0, text)
+    unit = RATES.get(unit, unit)
     over, slash, under = unit.partition("/")
     kind, per, _ = (*dimension.split("/"), "", "")[:3]
     units = DIMENSIONS[kind]
@@ -386,7 +387,7 @@ class Columns:
             return file.find(quantity)
         usual = (quantity.replace("theta", "yaw"), quantity)
         read = {c: (role_of(name)[0], "".join(words_of(name)[0])) for c, name in enumerate(file.names) if file.named}
-        also = [c for c, (role, word) in read.items() if role in usual or word in ALSO.get(quantity, ())]
+        also = [c for c, (role, word) in read.items() if role in usual or word in (quantity, *ALSO.get(quantity, ()))]
         if quantity == "t":  # not the time of recording
             also = [c for c in also if "header" in file.names[c]] or also
         if len(also) != 1:
@@ -394,8 +395,12 @@ class Columns:
         note = f"{file.path.name}: {quantity} of {role} is read from {file.names[also[0]]}"
         unit, dimension = words_of(file.names[also[0]])[1], QUANTITIES[quantity]
         unit = "ns" if quantity == "t" and file.names[also[0]].startswith("field.") else unit  # of `rostopic echo -p`
-        if unit in DIMENSIONS.get(dimension, ()) and not {dimension, quantity} & set(self.units.given):
-            note += f", in {self.units.given.setdefault(f'{role}.{quantity}', unit)}"
+        if unit and dimension and not {dimension, quantity} & set(self.units.given):
+            try:
+                factor(dimension, unit, "")
+                note += f", in {self.units.given.setdefault(f'{role}.{quantity}', unit)}"
+            except UsageError:
+                note += f", whose unit {unit!r} is unknown (--unit {role}.{quantity}=UNIT; else SI)"
         self.notes += [note] * (note not in self.notes)
         return also[0]
 
@@ -487,6 +492,15 @@ class Columns:
         for q, c in columns.items():
             dates = q in STAMPS and self.units.is_date(role)
             values[q] = file.numbers(c, keep, stamps=dates) * (1.0 if q in earth else self.units.factor(role, q))
+        for q, c in columns.items():
+            if QUANTITIES[q] not in ("", "time") and q[0] != "s" and (found := unmeasured(values[q])) is not None:
+                row, count, far = found
+                said = f"{file.text(c, keep)[row]} in {count} of {len(values[q])} rows"
+                if far:
+                    what = f"{said}, far beyond all others, is no measurement; leave the rows out, or the fields blank"
+                    raise DataError.at(file.path, what, line=int(file.line[keep][row]), column=file.names[c])
+                if q in ("range", "bearing"):
+                    self.notes.append(f"{file.path.name}: {q} is {said}: was nothing measured there? Leave them out")
         if earth:
             values |= self._on_plane(values["y"], values["x"], file)
         if role in self.offsets:
@@ -503,6 +517,27 @@ class Columns:
                 field = file.text(c, keep)[row]
                 raise table.error(row, file.names[c], f"{repr(field) if field else 'blank'}; a number is needed")
         return table, int(empty.sum())
+
+
+def unmeasured(values: Array) -> tuple[int, int, bool] | None:
+    """First row and number of rows of a value that stands for none, and whether it is far beyond all others, as -999;
+    else it is far more frequent than any other.
+    """
+    found, first, count = np.unique(values[np.isfinite(values)], return_index=True, return_counts=True)
+    if len(found) < LEVELS:  # speeds that were commanded
+        return None
+    first, size = np.flatnonzero(np.isfinite(values))[first], np.abs(found)
+    for by, far in ((size, True), (count, False)):
+        k = int(np.argmax(by))
+        if count[k] >= REPEATED and by[k] > BEYOND * np.delete(by, k).max():
+            return int(first[k]), int(count[k]), far
+    return None
+
+
+REPEATED, BEYOND, LEVELS = 3, 10.0, 20
+"""Least number of fields with a value that stands for none; how many times it is as large, or as frequent, as any
+other; least number of different values.
+"""
 
 
 def headings(values: Mapping[str, Array], unit: float = 1.0) -> Array:
@@ -523,8 +558,7 @@ def shared(paths: Mapping[str, Path]) -> set[str]:
 Given = Mapping[str, object]  # Texts by flag (without leading dashes); flags of pairs as text or as a table of texts
 POSE = ("length", "length", "angle")
 TRAVEL = ("length", "length", "angle", "angle")
-STAMPED = ("odometry", "observations", "truth", "fixes", "closures", SECOND, SCANS)
-"""Roles of files with stamps, beside the names of sensors."""
+STAMPED = ("odometry", "observations", "truth", "fixes", "closures", SECOND, SCANS)  # With stamps, as sensors
 
 
 def pairs(value: object, flag: str) -> dict[str, str]:

@@ -39,8 +39,7 @@ from data.timeline import MAX_GAP, frame_times, truth_at, usual_gap
 from data.truth import Truth
 
 SIGMAS = ("sx", "sy", "stheta")
-MANY = 50
-"""Most observations that may have the stamp of another one."""
+MANY = 50  # Most observations that may have the stamp of another one
 LONGEST = 1e6  # s, longest log; stamps in another unit would fill the memory with keyframes
 
 
@@ -519,8 +518,7 @@ def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) ->
     return result
 
 
-FAR, LOOSE = 1.0, math.radians(10.0)
-"""m, way from the start that tells its heading; rad, the least standard deviation of that heading."""
+FAR, LOOSE = 1.0, math.radians(10.0)  # m, way from the start that tells its heading; rad, least deviation of that
 
 
 def _ahead(pose: Array, moved: Array) -> float | None:

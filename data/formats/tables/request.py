@@ -32,8 +32,7 @@ from data.toml_table import load_toml
 SENSOR, OBSERVATIONS = "sensor", "observations"
 LOOKS = {"descriptor": "descriptor-sigma", "class": "class-error"}
 """Columns of appearance, and the flag that states the noise of each; without it the column is not read."""
-OF_SENSORS = ("observation-sigma", "sensor-pose", "max-range", "view", "sees", *LOOKS.values())
-"""Flags with a value for each sensor."""
+OF_SENSORS = ("observation-sigma", "sensor-pose", "max-range", "view", "sees", *LOOKS.values())  # Of each sensor
 XY, PLACE = ("length",) * 2, "x, y [m], angle [rad or as in 90deg]"
 ANY, FROM_ZERO, ABOVE_ZERO = None, True, False
 NUMBERS = {
@@ -56,8 +55,7 @@ ASSUMED = {"density": "5cm,2deg", "travel": ",".join(map("{:g}".format, TravelNo
 """Noise of an odometry that nobody states, by model: measured on a robot with wheels in an office."""
 
 
-STARRED = ("range", "bearing", "x", "y")
-"""Quantities that may have a column for each landmark."""
+STARRED = ("range", "bearing", "x", "y")  # Quantities that may have a column for each landmark
 SEEN: dict[tuple[str, ...], type[Sensor]] = {
     ("range",): Range, ("bearing",): Bearing, ("range", "bearing"): RangeBearing, ("x", "y"): RelativePoint,
 }  # fmt: skip

@@ -10,7 +10,6 @@ from data.errors import DataError, UsageError
 from data.formats.bags import GEOMETRY, Collected, LaserScans, scans_of
 from data.formats.tables.files import Columns, TextTable
 from data.formats.tables.motion import Odometry
-from data.inputs import IntArray
 from data.se2 import Array
 
 RANGE = re.compile(r"(?:.*[._])?ranges?[._\[]?\d+\]?")
@@ -39,9 +38,9 @@ def read_scans(
     if scanner is None and not {*STATED} <= {*at}:
         what = f"{file.path.name} names no {', '.join(name for name in STATED if name not in at)}"
         raise UsageError(f"--scanner LOW,STEP,MAX, as in -90deg,0.5deg,8m, is needed: {what}")
-    whole = np.ones(len(file), bool)
     stamped = columns.find(file, "scans", "t") is not None or len(file) != len(odometry.rows)
-    stamp, found = columns.stamps(file, "scans", whole) if stamped else odometry.rows, Collected()
+    stamp = columns.stamps(file, "scans", np.ones(len(file), bool)) if stamped else odometry.rows
+    found, header = Collected(), SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0), frame_id="laser")
     given = {} if scanner is None else dict(zip(STATED, scanner.tolist(), strict=True))
     for k, (row, line) in enumerate(zip(file.rows, file.line.tolist(), strict=True)):
         fields = [row[j] or "nan" for j in beams] if listed is None else row[listed].strip("()[] ").split(",")
@@ -50,11 +49,8 @@ def read_scans(
         own = {name: float(row[at[name]]) for name in GEOMETRY if name in at and is_number(row[at[name]])}
         own = {"range_min": 0.0} | own | given
         own.setdefault("angle_max", own["angle_min"] + (len(fields) - 1) * own["angle_increment"])
-        clock = SimpleNamespace(sec=0, nanosec=0)
-        ranges = list(map(float, fields))
-        message = SimpleNamespace(header=SimpleNamespace(stamp=clock, frame_id="laser"), ranges=ranges, **own)
+        message = SimpleNamespace(header=header, ranges=list(map(float, fields)), **own)
         found.scans.add(message, float(stamp[k]), f"{file.path}:{line}")
     columns.read |= {(file.path, k) for k in (*beams, *(at[n] for n in GEOMETRY if n in at))}
     seen = scans_of(file.path, (), found, "", odometry.span)
-    rows: IntArray = np.arange(1, len(seen.stamp) + 1)
-    return seen, Table(file.path, {"t": seen.stamp}, line=rows)
+    return seen, Table(file.path, {"t": seen.stamp}, line=np.arange(1, len(seen.stamp) + 1))

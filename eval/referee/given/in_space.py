@@ -26,8 +26,7 @@ FITTED = (SE3, SIM3, YAW)
 
 
 EVO, RPG, OPENVINS = "evo", "rpg", "openvins"
-PAIRS = (EVO, RPG, OPENVINS)
-"""Whose pairs relative errors are of: evo's and ours; those of rpg_trajectory_evaluation, or of OpenVINS."""
+PAIRS = (EVO, RPG, OPENVINS)  # Whose pairs relative errors are of: evo's, rpg_trajectory_evaluation's, or OpenVINS'
 RPG_SHARES, RPG_TOLERANCE = (0.1, 0.2, 0.3, 0.4, 0.5), 0.2
 """Lengths as shares of the true path's, and tolerance as a share of the length."""
 OPENVINS_LENGTHS, OPENVINS_TOLERANCE = (8.0, 16.0, 24.0, 32.0, 40.0), 0.5  # m
@@ -105,7 +104,11 @@ def aligning(estimate: Poses, truth: Poses, how: str) -> Similarity | None:
         return Similarity(1.0, R, b.position.mean(axis=0) - R @ a.position.mean(axis=0))
     s, R, t, rank = se3.rigid_fit(a.position, b.position, scaled=how == SIM3)
     if rank < 2 and turned:
-        R = _with_orientations(a, b, R, rank)
+        axis = np.linalg.svd(b.position - b.position.mean(axis=0), full_matrices=False)[2][0]
+        R = np.asarray(se3.about_axis(axis, R @ a.rotation, b.rotation) @ R)
+        if rank == 0:  # all by the orientations
+            U, _, Vt = np.linalg.svd(np.einsum("kij,klj->il", b.rotation, a.rotation))
+            R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
         t = b.position.mean(axis=0) - s * R @ a.position.mean(axis=0)
     return Similarity(s, R, t)
 
@@ -114,15 +117,6 @@ def _yaw(C: Array) -> Array:
     """The rotation about z that is nearest to a matrix (3, 3)."""
     angle = math.atan2(C[1, 0] - C[0, 1], C[0, 0] + C[1, 1])
     return np.asarray(se3.exp_rotation(np.array([0.0, 0.0, angle])))
-
-
-def _with_orientations(a: Poses, b: Poses, R: Array, rank: int) -> Array:
-    """The rotation of a fit of rank 0 or 1, its freedom decided by the orientations."""
-    if rank == 0:
-        U, _, Vt = np.linalg.svd(np.einsum("kij,klj->il", b.rotation, a.rotation))
-        return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
-    axis = np.linalg.svd(b.position - b.position.mean(axis=0), full_matrices=False)[2][0]
-    return np.asarray(se3.about_axis(axis, R @ a.rotation, b.rotation) @ R)
 
 
 def tilts(estimate: Poses, truth: Poses) -> Array:

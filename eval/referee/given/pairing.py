@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import Rotation
 
-from data import se3
+from data import se2, se3
 from data.errors import DataError
 from data.formats.recordings.ros import Tree, bare
 from data.formats.results.frames import in_frame
@@ -33,7 +33,7 @@ from data.formats.results.path import (
 )
 from data.formats.results.space import flattened, translation_first
 from data.notice import Code, Notice, notice
-from data.questions.examination import SCALE, UNIT, heading_unit, paths_otherwise
+from data.questions.examination import LEAST, PLACED, SCALE, SIDE, UNIT, heading_unit, paths_otherwise
 from data.se2 import Array, BoolArray, compose, interpolate, rigid_fit
 from data.timeline import truth_at
 from data.truth_windows import leaps
@@ -43,9 +43,6 @@ from eval.referee.given.in_space import NONE, SAME_VERTICAL, SE3, YAW, InSpace, 
 from eval.referee.given.time_offset import time_offset
 
 FEW, PLENTY = 5, 20  # least number of matched poses for a question about both files; about their clocks and frames
-
-
-# ---- stamps
 
 
 def same_clock(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
@@ -66,15 +63,15 @@ def same_clock(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
     (span_a, step_a), (span_b, step_b) = _span(a), _span(b)
     sure = {a.clock.by, b.clock.by} & {ASSUMED, RATE}
     if sure and min(span_a, span_b, step_a, step_b) > 0.0:
-        for name, digits in DIGITS.items():
-            factor = 10.0**digits
+        for name, factor in [*((n, 10.0**digits) for n, digits in DIGITS.items()), ("min", 60.0)]:
             for slow, fast, spans, steps in (
                 (a, b, span_a / span_b, step_a / step_b),
                 (b, a, span_b / span_a, step_b / step_a),
             ):
-                if digits and abs(spans / factor - 1.0) < 0.1 and 1.0 / 3.0 < steps / factor < 3.0:
+                if factor > 1.0 and abs(spans / factor - 1.0) < 0.1 and 1.0 / 3.0 < steps / factor < 3.0:
                     what = f"stamps span {_span(slow)[0]:.6g} s, those of {fast.file} {_span(fast)[0]:.6g} s"
                     ask = f"are they {name} in one of the two? State the units: --unit NAME={name}, --unit NAME=s"
+                    ask = ask if name in DIGITS else "are they min in one of the two? Write s"
                     raise DataError.at(slow.file, f"{what}: {ask}")
     return a, b
 
@@ -101,9 +98,6 @@ def _overlap(time: Array, other: Array) -> float:
     common = min(time[-1], other[-1]) - max(time[0], other[0])
     whole = max(time[-1], other[-1]) - min(time[0], other[0])
     return max(float(common / whole), 0.0) if whole > 0.0 else 0.0
-
-
-# ---- frames
 
 
 def same_frames(path: GivenPath, truth: GivenPath, align: str) -> tuple[GivenPath, list[Notice]]:
@@ -137,9 +131,6 @@ def called(questions: Iterable[Notice], names: Mapping[str, str]) -> list[Notice
 
 
 FLAGS = "flags"  # value of a question: what is typed if it is right, with NAME for what its file is called
-
-
-# ---- what the numbers look like
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,8 +215,7 @@ def _leaps(pair: Pair, placed: BoolArray) -> tuple[BoolArray, list[Notice]]:
     return inside, [notice(Code.PATH_LEAP, file=truth.file, other=estimate.file, first=of, last=to, flags=flags)]
 
 
-WORSE, POOR, FAIR = 4.0, 12.0, 30.0
-"""Ratio of mean pose NEES as read and read otherwise, least as read, and largest otherwise, for a question."""
+WORSE, POOR, FAIR = 4.0, 12.0, 30.0  # Least ratio of pose NEES as read and otherwise, least as read, largest otherwise
 
 
 def _order(pair: Pair, known: BoolArray) -> Iterator[Notice]:
@@ -310,10 +300,8 @@ def _otherwise(pair: Pair, known: BoolArray, placed: BoolArray) -> Iterator[Noti
         )  # fmt: skip
 
 
-ROUNDING, CERTAIN = 1e-4, 5.0
-"""Error as a share of the path's size that files round to; standard errors of an offset that is one."""
-OTHER_FRAME, LATE = 5.0, 0.5
-"""Least ratio of RMS errors as read and after the best fit; largest of those at other stamps and as read."""
+ROUNDING, CERTAIN = 1e-4, 5.0  # Error over the path's size that files round to; least standard errors of an offset
+OTHER_FRAME, LATE = 5.0, 0.5  # Least ratio of RMS errors as read and after a fit; largest at other stamps and as read
 
 
 def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
@@ -323,23 +311,38 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
     size = math.sqrt(float(np.var(theirs[:, :2], axis=0).sum()))
     if not direct > ROUNDING * size:
         return
+    mirrored, (far, placed) = rms(aligned_distance(ours[:, :2] * [1, -1], theirs[:, :2])), _displaced(ours, theirs)
+    if OTHER_FRAME * mirrored < fitted and fitted > FITS * size:  # where the robot hardly turns
+        yield _reading(pair, SIDE, "truth's mirror", fitted / size, mirrored / size)
+        return
+    times, path, there, truth = time, ours, time, theirs
+    if pair.truth is not None and not pair.aligned:  # all of both, not what their stamps match
+        files = (pair.estimate, pair.truth)
+        rows = [np.flatnonzero(np.isfinite(f.pose[:, :2]).all(axis=1)) for f in files]
+        (times, path), (there, truth) = ((f.time[k], f.pose[k]) for f, k in zip(files, rows, strict=True))
     error = 0.0
-    seconds, left = _late_by(time, ours, theirs)
+    seconds, left = _late_by(times, path, there, truth)
     if by_speed := not left < min(LATE * direct, FITS * size):  # another frame, or another error
-        seconds = 0.0
+        seconds, times, path, there, truth = 0.0, time, ours, time, theirs
         with suppress(DataError):  # none stands out
             seconds, error = time_offset(pair.estimate.file, time, ours, time, theirs)
-    moved = time + seconds
-    inside = (moved >= time[0]) & (moved <= time[-1])
+    moved = times + seconds
+    inside = (moved >= there[0]) & (moved <= there[-1])
     if inside.sum() >= FEW and abs(seconds) > CERTAIN * error:
-        at = interpolate(time, theirs, moved[inside])
-        own = ours[inside]
+        at = interpolate(there, truth, moved[inside])
+        own = path[inside]
         aligned = rms(aligned_distance(own[:, :2], at[:, :2]))
         if not by_speed or aligned < LATE * rms(aligned_distance(own[:, :2], theirs[inside, :2])):
+            if far > LEAST[PLACED] and placed < LATE * aligned:
+                yield _reading(pair, PLACED, "truth", fitted / size, placed / size, far)
+                return
             flags = (f"--time-offset NAME={round(seconds, 3):.9g}",)
             yield notice(Code.PATH_CLOCK, file=pair.estimate.file, stated=fitted, fits=aligned, flags=flags)
             ours, theirs, fitted = own, at, aligned
             direct = rms(np.hypot(*(ours - theirs)[:, :2].T))
+    elif far > LEAST[PLACED] and placed < LATE * fitted:
+        yield _reading(pair, PLACED, "truth", fitted / size, placed / size, far)
+        return
     covariance = pair.estimate.covariance
     mean = math.nan
     if covariance is not None:
@@ -351,21 +354,40 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         yield notice(Code.PATH_FRAME, file=pair.estimate.file, direct=direct, aligned=fitted, turned=turned, nees=said)
 
 
-TRIED = 1000  # offsets that are tried, of as many poses at most
+TRIED, SEEN = 1000, 0.25  # offsets that are tried, of as many poses at most; least share of them with a truth then
 
 
-def _late_by(time: Array, ours: Array, theirs: Array) -> tuple[float, float]:
-    """The offset [s] of stamps (n,), up to half of their span, at which two paths (n, 3) in one frame are nearest, and
-    their RMS distance then; of laps the least.
+def _reading(pair: Pair, kind: str, of: str, stated: float, fits: float, number: float = math.nan) -> Notice:
+    return notice(
+        Code.PATH_READING, file=pair.estimate.file, kind=kind, of=of, unit="", number=number, stated=stated, fits=fits,
+        flags=(),
+    )  # fmt: skip
+
+
+def _displaced(ours: Array, theirs: Array) -> tuple[float, float]:
+    """How far [m] apart on the robot the points of two paths (n, 3) are, and their RMS distance without that."""
+    if not np.isfinite(theirs).all():
+        return 0.0, math.inf
+    A = np.concatenate([se2.worlds_from_bodies(theirs[:, 2])[:, :2, :2], np.tile(np.eye(2), (len(ours), 1, 1))], axis=2)
+    found, off = np.zeros(4), (ours - theirs)[:, :2]
+    found[:] = np.linalg.lstsq(A.reshape(-1, 4), off.ravel())[0]
+    return float(np.hypot(*found[:2])), rms(np.hypot(*(off - A @ found).T))
+
+
+def _late_by(time: Array, ours: Array, there: Array, theirs: Array) -> tuple[float, float]:
+    """The offset [s] of stamps (n,), up to half of the longer span, at which two paths (n, 3) and (m, 3) in one frame
+    are nearest, and their RMS distance then; of laps the least.
     """
     some = np.unique(np.linspace(0, len(time) - 1, TRIED).astype(int))
-    half = 0.5 * float(time[-1] - time[0])
+    half = 0.5 * max(float(np.ptp(time)), float(np.ptp(there)))
 
     def apart(seconds: float) -> float:
         at = time[some] + seconds
-        rows = some[(at >= time[0]) & (at <= time[-1])]
-        there = [np.interp(time[rows] + seconds, time, theirs[:, k]) for k in (0, 1)]
-        return rms(np.hypot(*(ours[rows, :2].T - there))) * (1.0 + abs(seconds) / half) if len(rows) else math.inf
+        rows = (at >= there[0]) & (at <= there[-1])
+        if rows.sum() < max(1, SEEN * len(some)):
+            return math.inf
+        off = [ours[some[rows], k] - np.interp(at[rows], there, theirs[:, k]) for k in (0, 1)]
+        return rms(np.hypot(*off)) * (1.0 + abs(seconds) / half)
 
     grid = np.linspace(-half, half, TRIED + 1)
     best = float(min(grid, key=apart))

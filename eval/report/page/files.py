@@ -124,18 +124,14 @@ SHORT = {
     "duplicate": "duplicate", "missed": "missed", "deferred": "deferred",
 }  # fmt: skip
 """Heads in a paper, most wanted first; the fine print says what they mean."""
-OTHERS = {
+OTHERS = {  # by the head of the report's tables
     "95 % bounds of NIS": Known("bounds", "95 % of NIS", 5.5),
     "95 % interval of the mean": Known("interval", "95 % interval", 1.0),
-    "power against 0.8 P [%]": Known("power", "power [%]", 5.0),
-    "mean": Known("mean", "mean", 0.0),
-    "expected": Known("dof", "expected", 2.0),
-    "verdict": Known("verdict", "verdict", 1.5),
-    "runs": Known("runs", "runs", 3.0),
-    "diverged": Known("diverged", "diverged", 6.0),
-    "± SE": Known("se_ours", "± SE", 1.0),
-    "± SE of it": Known("se_published", "± SE", 3.0),
-}  # by the head of the report's tables
+    "power against 0.8 P [%]": Known("power", "power [%]", 5.0), "mean": Known("mean", "mean", 0.0),
+    "expected": Known("dof", "expected", 2.0), "verdict": Known("verdict", "verdict", 1.5),
+    "runs": Known("runs", "runs", 3.0), "diverged": Known("diverged", "diverged", 6.0),
+    "± SE": Known("se_ours", "± SE", 1.0), "± SE of it": Known("se_published", "± SE", 3.0),
+}  # fmt: skip
 
 
 _RANKS = {key: float(i) for i, key in enumerate(SHORT)}

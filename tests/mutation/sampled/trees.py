@@ -119,8 +119,9 @@ def _run(tree: Path, what: Sequence[str], to: Any) -> None:
     with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
         first = _First(to)
         status = pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", *what], plugins=[first])
-        # a usage error: the test with this id is not there any more
-        fine = (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED, pytest.ExitCode.USAGE_ERROR)
+        fine = {pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED}
+        # a usage error: the test with this id is not there any more; of whole files: a conftest.py cannot be loaded
+        fine |= {pytest.ExitCode.USAGE_ERROR} if "::" in what[0] else set()
         if status not in fine and first.to:
             to.send(BROKEN)
     os._exit(0)

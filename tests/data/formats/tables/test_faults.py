@@ -6,6 +6,7 @@ import pytest
 from data.questions.asked import ask
 
 GOOD = "t,v,omega,range,bearing\n0,1,0,2,0.1\n1,1,0,2,0.2\n2,1,0,,\n3,1,0,3,-0.5\n"
+GAPS = GOOD[:24] + "".join(f"{k},{1 + k / 99 if k < 31 else -999},0,2,0.1\n" for k in range(34))
 SIGMAS = ("--odometry-sigma", "0.1,0.1", "--observation-sigma", "0.1,0.1")
 
 
@@ -28,6 +29,7 @@ def table(convert):
         (GOOD.replace("1,1,0,2", '1,1,"0,2'), SIGMAS, ":3: a quote that is not closed within its line"),
         (GOOD.replace("0,1,0,2", "5,1,0,2"), SIGMAS, ":3: column t: 1 follows 5.0; t must not decrease"),
         (GOOD.replace("3,1,0,3", "3,1,0,-3"), SIGMAS, "column range: -3 is a negative range"),
+        (GAPS, SIGMAS, ":33: column v: -999 in 3 of 34 rows, far beyond all others, is no measurement"),
         (GOOD.replace("omega", "gyro"), SIGMAS, "no odometry: columns t, v, gyro"),
         (GOOD.replace("omega", "v"), SIGMAS, "columns 2 and 3 are named 'v'; name one by its number"),
         (b"PK\x03\x04\x00\x00", SIGMAS, "not a text file"),
