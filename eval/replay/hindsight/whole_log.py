@@ -155,7 +155,7 @@ def renumbered(found: Reassociation, held: IntArray) -> Reassociation:
         if here not in other and there not in other.values():
             other[here] = there
     number = np.array([other.get(n, -1) for n in found.number.tolist()], np.int64)
-    return Reassociation(number, found.doubt)
+    return Reassociation(number, found.misfit)
 
 
 def likelier(ours: Smoothed, theirs: Smoothed, view: Sensor) -> float:

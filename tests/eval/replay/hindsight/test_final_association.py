@@ -113,14 +113,14 @@ def test_each_frame_is_paired_at_least_cost_and_what_one_landmark_alone_explains
         assert found.number[rows].tolist() == [-1 if j < 0 else known.id[j] for j in expected]
         single = (d2 < gate).sum(axis=1) == 1
         own = [np.inf if j < 0 else d2[i, j] + (0.0 if single[i] else gate) for i, j in enumerate(expected)]
-        assert found.doubt[rows].tolist() == pytest.approx(own)
+        assert found.misfit[rows].tolist() == pytest.approx(own)
 
 
 def test_a_landmark_begins_with_its_least_doubtful_reading():
     number = np.array([4, 4, -1, 6, 4, 6, 9, 9])
-    doubt = np.array([15.0, 2.0, np.inf, 1.0, 0.5, 3.0, 14.0, 14.0])
-    assert beginnings(Reassociation(number, doubt)) == {4: 4, 6: 3, 9: 6}
-    assert beginnings(Reassociation(number[:0], doubt[:0])) == {}
+    misfit = np.array([15.0, 2.0, np.inf, 1.0, 0.5, 3.0, 14.0, 14.0])
+    assert beginnings(Reassociation(number, misfit)) == {4: 4, 6: 3, 9: 6}
+    assert beginnings(Reassociation(number[:0], misfit[:0])) == {}
 
 
 VIEW = RelativePoint(max_range=10.0, min_angle=-1.0, max_angle=1.0)
