@@ -18,7 +18,7 @@ from data.worlds.registry import named_log
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.replay.run import step_by_step
-from eval.report import writing
+from eval.report import steps
 from eval.report.page.blocks import Report, Section
 from eval.report.publish import films_of, trajectory_table, write_films, write_run, write_truths, write_tum
 from eval.report.render import write_report
@@ -222,13 +222,13 @@ class Marks:
 def places(tmp_path_factory):
     """Texts of a run in which every code is found, by place."""
     out = tmp_path_factory.mktemp("codes") / "report"
-    templates, found = words.environment, writing.notices
+    templates, found = words.environment, steps.notices
     marked = SimpleNamespace(get_template=lambda _: SimpleNamespace(module=Marks()))
     with pytest.MonkeyPatch.context() as patch:
         said: list[str] = []
         patch.setattr(words, "environment", lambda package: marked if package == "data" else templates(package))
         every = [notice(code).about(**ABOUT) for code in Code]
-        patch.setattr(writing, "notices", lambda trials, scores, known: found(trials, scores, [*known, *every]))
+        patch.setattr(steps, "notices", lambda trials, scores, known: found(trials, scores, [*known, *every]))
         patch.setattr("eval.plan.console._print", said.append)
         run = ["--log", SHORT, "--task", "slam", "--estimator", "ekf", "--association", "known", "--no-plots"]
         main([*run, "--out", str(out), "--jobs", "1"])
