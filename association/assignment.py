@@ -5,7 +5,7 @@ assignments in order of increasing cost", Operations Research 16(3), 1968).
 import heapq
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
+import scipy
 
 from data.inputs import IntArray
 from data.se2 import Array
@@ -28,7 +28,7 @@ def best_assignments(cost: Array, most: int, slack: float) -> list[tuple[float, 
 
     def solve(allowed: Array, fixed: int) -> None:
         try:
-            rows, columns = linear_sum_assignment(allowed)
+            rows, columns = scipy.optimize.linear_sum_assignment(allowed)
         except ValueError:  # every assignment has an infinite cost
             return
         total = float(allowed[rows, columns].sum())

@@ -108,19 +108,12 @@ def map_with(known: LandmarkMap, estimated: MapState) -> MapState:
     return MapState(known.id, xy, covariance)
 
 
-def map_estimate(
-    state: MapState, frame: IntArray, decisions: IntArray, created: IntArray, *, known: bool = False
-) -> MapEstimate:
-    """The map, with first frame and number of observations of each landmark by the given decisions; `frame` (M,).
-    `known`: numbers are ids of a given map, which no observation initializes.
-    """
-    number = np.where(created >= 0, created, decisions)
-    ids, count = np.unique(number, return_counts=True)
-    begun, row = np.unique(number if known else created, return_index=True)
-    times = dict(zip(ids.tolist(), count.tolist(), strict=True))
-    first = dict(zip(begun.tolist(), frame[row].tolist(), strict=True))
+def map_estimate(state: MapState, frame: IntArray, decisions: IntArray, created: IntArray) -> MapEstimate:
+    """The map, with first frame and number of observations of each landmark by the given decisions; `frame` (M,)."""
+    ids, row, times = np.unique(np.where(created >= 0, created, decisions), return_index=True, return_counts=True)
+    of = dict(zip(ids.tolist(), zip(frame[row].tolist(), times.tolist(), strict=True), strict=True))
     n = np.asarray(state.number, np.int64)
-    seen = [(first.get(i, -1), times.get(i, 0)) for i in n.tolist()]
+    seen = [of.get(i, (-1, 0)) for i in n.tolist()]
     return MapEstimate(n, state.xy, state.covariance, *np.array(seen, np.int64).reshape(-1, 2).T)
 
 

@@ -4,7 +4,7 @@ Tangents have the translation first: xi = (rho, phi). Formulas: Barfoot, State E
 """
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy  # whose parts are loaded where they are used
 
 from data.se2 import Array
 
@@ -22,7 +22,9 @@ def exp_rotation(phi: Array) -> Array:
     phi = np.array(phi, float)  # scipy before 1.15 takes no array that is read-only or empty
     if not phi.size:
         return np.zeros((*phi.shape, 3))
-    return np.asarray(Rotation.from_rotvec(phi.reshape(-1, 3)).as_matrix().reshape(*phi.shape, 3))
+    return np.asarray(
+        scipy.spatial.transform.Rotation.from_rotvec(phi.reshape(-1, 3)).as_matrix().reshape(*phi.shape, 3)
+    )
 
 
 def log_rotation(R: Array) -> Array:
@@ -30,7 +32,9 @@ def log_rotation(R: Array) -> Array:
     R = np.array(R, float)
     if not R.size:
         return np.zeros(R.shape[:-1])
-    return np.asarray(Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec().reshape(R.shape[:-1]))
+    return np.asarray(
+        scipy.spatial.transform.Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec().reshape(R.shape[:-1])
+    )
 
 
 def angle_between(R: Array, S: Array) -> Array:

@@ -44,9 +44,9 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG, positional: str = 
                 consoles[0].say(line)
             check()
             with staged(options.output.out) as folder:
-                from eval.report import writing  # everything: a wrong flag is answered without it
+                from eval.report import steps  # everything: a wrong flag is answered without it
 
-                status = writing.run(options, consoles[0], folder, [*prog.split(), *arguments], check)
+                status = steps.run(options, consoles[0], folder, [*prog.split(), *arguments], check)
                 check()
         if options.output.open:
             show(options.output.out)

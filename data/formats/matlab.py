@@ -17,7 +17,6 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from scipy.io.matlab import MatReadError
 
 from data.errors import DataError
 
@@ -31,7 +30,7 @@ HDF5_AT = (0, 512)  # Positions of the signature in version 7.3: at the start, o
 WIDTHS_4 = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # bytes of a number of version 4, by its class
 BROKEN = (
     *(ValueError, TypeError, KeyError, IndexError, AttributeError, RuntimeError, OverflowError, OSError),
-    *(zlib.error, struct.error, MatReadError),
+    *(zlib.error, struct.error),
 )
 """Errors of the readers for damaged bytes."""
 INT32, UINT32, MATRIX, COMPRESSED = 5, 6, 14, 15
@@ -118,7 +117,7 @@ def _opened(path: Path) -> Iterator[tuple[mmap.mmap, str]]:
         raise DataError.at(path, f"larger than the memory; {right}") from error
     except (FileNotFoundError, PermissionError, IsADirectoryError) as error:
         raise DataError.at(path, f"cannot be read: {error.strerror}") from error
-    except BROKEN as error:
+    except (*BROKEN, scipy.io.matlab.MatReadError) as error:
         raise DataError.at(path, f"damaged: {' '.join(str(error).split())[:200]}") from error
 
 

@@ -6,10 +6,9 @@ Known association and joint compatibility come first.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from data.notice import Code, notice
 from data.result import Run
@@ -20,6 +19,9 @@ from eval.referee.given.in_space import NONE
 from eval.referee.given.runs import GivenRun, log_of
 from eval.referee.score import Trial
 from eval.replay.settings import ESTIMATORS, FILTERS, associations
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure  # slow to import, and no table waits for it
 
 Variants = Sequence[Trial]
 Facts = Mapping[str, Any]  # what the caption of a figure speaks of, by the names that its macros have
@@ -32,7 +34,7 @@ class Kind:
     """A kind of figure: of which trials (with variants) there is one, the figure with its caption's facts."""
 
     applies: Callable[[Trial, Variants], bool]
-    drawn: Callable[[Trial, Variants], tuple[Figure, Facts]]
+    drawn: Callable[[Trial, Variants], "tuple[Figure, Facts]"]
     in_quick: bool = False
     macro: str = ""  # of the caption with its template; blank: as it is called, in `pictures.md.j2`
     place: str = SECTION
@@ -40,7 +42,7 @@ class Kind:
 
 MODULES = ("association", "claims", "error", "growth", "map")  # of this folder, which draw logs
 KINDS: dict[str, Kind] = {}  # kinds of figures by name; the modules enter theirs when they are imported
-Drawn = Callable[[Trial, Variants], tuple[Figure, Facts]]
+Drawn = Callable[[Trial, Variants], "tuple[Figure, Facts]"]
 
 
 def figure(

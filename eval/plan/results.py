@@ -289,7 +289,7 @@ def _kept(result: Result, log: Log) -> MapAndDecisions:
         k = int(off[0])
         found, needed = (f"frame {i}, observation {j}" for i, j in (decisions[k, :2], (frame[k], within[k])))
         raise DataError.at(str(b.file), f"{found}; {needed} of log {log.name!r} is needed", line=k + 2)
-    return MapAndDecisions(b.landmarks, decisions[:m, 2], decisions[:m, 3])
+    return MapAndDecisions(b.landmarks, *decisions[:m, 2:].T)
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,27 +48,32 @@ class Confusion:
 
 
 def ground_truth(
-    frame: IntArray, true_id: IntArray, created: IntArray, known: LandmarkMap | None, removed: IntArray | None = None
-) -> IntArray:
+    frame: IntArray, true_id: IntArray, decisions: IntArray, created: IntArray, known: LandmarkMap | None,
+    removed: IntArray | None = None,
+) -> IntArray:  # fmt: skip
     """GT (M,) per observation. With a known map the landmark number is the true id, where the map has it.
 
     In SLAM a landmark is in the map from the frame after its initialization (the decisions of a frame are made
-    together) up to the frame `removed` (L,) by landmark number, -1: never removed.
+    together) up to the frame `removed` (L,) by landmark number, -1: never removed. Where revised `decisions` (M,) pair
+    observations before the one that initializes it, it is in the map from the first of them on.
     """
     if known is not None:
         return np.where(np.isin(true_id, known.id), true_id, NO_LANDMARK)
     gt: IntArray = np.full(len(true_id), NO_LANDMARK, np.int64)
-    copies = defaultdict[int, list[tuple[int, int, int]]](list)
+    numbers, row = np.unique(decisions, return_index=True)
+    first = dict(zip(numbers.tolist(), frame[row].tolist(), strict=True))
+    copies = defaultdict[int, list[tuple[int, int, int, int]]](list)
     rows = np.flatnonzero(created >= 0)
     for i in rows[np.argsort(created[rows], kind="stable")].tolist():
-        until = -1 if removed is None else int(removed[created[i]])
-        copies[int(true_id[i])].append((int(created[i]), int(frame[i]), until))
+        n, now = int(created[i]), int(frame[i])
+        until = -1 if removed is None else int(removed[n])
+        copies[int(true_id[i])].append((n, min(now, first.get(n, now + 1) - 1), until, i))
     for i, identity in enumerate(true_id.tolist()):
         if identity < 0:
             continue
         now = int(frame[i])
-        for number, since, until in copies.get(identity, ()):
-            if since < now and (until < 0 or now <= until):
+        for number, since, until, by in copies.get(identity, ()):
+            if since < now and i != by and (until < 0 or now <= until):
                 gt[i] = number
                 break
     return gt
@@ -81,7 +86,7 @@ def confuse(
     """Outcomes of decisions (M,), of which `final` (M,) is the last revision; None if some true id is unknown."""
     if np.any(true_id == UNKNOWN_ID):
         return None
-    gt = ground_truth(frame, true_id, created, known, removed)
+    gt = ground_truth(frame, true_id, decisions, created, known, removed)
     paired, has = decisions >= 0, gt >= 0
     tp = paired & (decisions == gt)
     fp = paired & ~tp

@@ -171,6 +171,7 @@ DECISIONS = File(
         text("outcome", "`tp`, `tn`, `fp` or `fn` of the online decision"),
         count("final_decision", "decision after all revisions"),
         text("final_outcome", "its outcome against the remaining landmarks"),
+        count("begins", "landmark that it initializes after all revisions, -1 for none"),
     ),
 )
 LOOPS = File(

@@ -78,7 +78,7 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run], eno
     state = None
     if result.map is not None:
         found = result.map if inputs.map is None else map_with(inputs.map, result.map)
-        state = map_estimate(found, inputs.observations.frame, final, initialized, known=inputs.map is not None)
+        state = map_estimate(found, inputs.observations.frame, final, initialized)
     return Run(
         name, front.association, front.task, None, result.trajectory, state, front.decisions, final,
         front.created, None, result.total_nis, None, seconds, None, tuple(notes), front.removed, gated=front.gated,

@@ -87,7 +87,7 @@ class Recorder:
         state = None
         if finished.map is not None:
             first = result.surviving(final, created) if begun is None else begun
-            state = result.map_estimate(finished.map, self._frame, final, first, known=task == "localization")
+            state = result.map_estimate(finished.map, self._frame, final, first)
         fixes, closures = self.poses.innovations(front.poses.gate)
         innovations = None
         if np.isfinite(self._nis).any():

@@ -83,7 +83,7 @@ def filter_known(inputs: Inputs, task: str, *, name: str = "ekf", threshold: flo
     if result.map is not None:
         kept = created.copy()
         kept[created >= len(result.map.number)] = -1  # not reached before a failure
-        state = map_estimate(result.map, inputs.observations.frame, decided, kept, known=inputs.map is not None)
+        state = map_estimate(result.map, inputs.observations.frame, decided, kept)
     total = (float(np.nansum(result.nis)), int(result.dof.sum())) if failure is None else None
     mean, variance = truncated_square(threshold)
     return Run(

@@ -230,4 +230,5 @@ def _write_decisions(place: Path, trial: Trial, run: Run) -> None:
     moved = (run.initialized >= 0) & (run.initialized != run.created)
     table["final_decision"] = np.where(moved, run.initialized, run.final_decisions)
     table["final_outcome"] = None if final is None else names[final.outcome]
+    table["begins"] = run.initialized
     result_files.DECISIONS.write(table, place)

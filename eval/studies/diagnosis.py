@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from scipy import optimize
+import scipy
 
 from association.decide import known_decisions
 from data.inputs import CLUTTER, Inputs, LabelledObservations
@@ -459,7 +459,7 @@ def _fitted(e: Evidence, smoother: Run, stated: float, finding: Finding, inputs:
     middle = math.log(finding.size)
     for _ in range(ROUNDS):  # where noise is much too large residuals hardly tell how much: the best size is far away
         bounds = middle - WIDE, middle + WIDE
-        found = optimize.minimize_scalar(lost, bounds=bounds, method="bounded", options={"xatol": 0.01})
+        found = scipy.optimize.minimize_scalar(lost, bounds=bounds, method="bounded", options={"xatol": 0.01})
         if not math.isfinite(found.fun):
             return finding, inputs
         if abs(found.x - middle) < WIDE - STEP:

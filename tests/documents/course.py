@@ -110,16 +110,16 @@ def notebook(name: str) -> str:
 
 def index() -> str:
     """The first page: what the lessons are, and how long they take."""
-    rows, total = [], 0.0
+    rows, total = [], 0
     for name in LESSONS:
         text = page(name)
         title, question = text.splitlines()[0][2:], re.search(r"\*\*(.+?)\*\*", text)
         minutes, seconds = re.findall(r"(\d+) minutes to read|in (\d+)\ss\.\*", text)[:2]
         assert question
-        total += len(text.split()) / WORDS_PER_MINUTE
+        total += int(minutes[0])
         rows.append(f"| [{title}]({name}.md) | {question[1]} | {minutes[0]} | {seconds[1]} |")
     text = (SOURCES / "index.md").read_text(encoding="utf-8")
-    return text.replace("<<lessons>>", "\n".join(rows)).replace("<<minutes>>", str(math.ceil(total)))
+    return text.replace("<<lessons>>", "\n".join(rows)).replace("<<minutes>>", str(total))
 
 
 MADE = {PAGES / "index.md": index} | {

@@ -334,7 +334,7 @@ def test_who_interrupts_a_study_hears_what_is_kept(tmp_path, monkeypatch, capsys
         (folder / ".3.partial-1.npz").touch()
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("eval.report.writing.execute", interrupted)
+    monkeypatch.setattr("eval.report.steps.execute", interrupted)
     assert run_all.main(["--scenario", "linear", "--runs", "5", "-q", "--out", str(tmp_path / "report")]) == 130
     said = capsys.readouterr().err
     assert said.startswith("interrupted; the report is as it was; 3 runs done since the start are kept in ")

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from data.columns.named import COVARIANCE, LENGTH, STAMP, YAW
 from data.csv_table import is_number, symmetric
@@ -284,7 +284,8 @@ def _spatial(
     else:
         angles = np.column_stack([value["yaw"], value.get("pitch", zero), value.get("roll", zero)])
         lost = ~np.isfinite(angles).all(axis=1, keepdims=True)
-        q = np.where(lost, np.nan, Rotation.from_euler("ZYX", np.where(lost, 0.0, angles)).as_quat())
+        turns = scipy.spatial.transform.Rotation.from_euler("ZYX", np.where(lost, 0.0, angles))
+        q = np.where(lost, np.nan, turns.as_quat())
     pose = np.column_stack([value["t"], value["x"], value["y"], value.get("z", zero), q])
     C: Array | None = None
     frame, stated = LOCAL, Stated()

@@ -22,7 +22,8 @@ class Companions:
 
     Attributes:
         landmarks: the map.
-        decisions: (M, 4) frame, observation within its frame, decision, final decision.
+        decisions: (M, 4) frame, observation within its frame, decision, final decision; (M, 5): and the landmark
+            that it initializes in the end, -1 for none.
         file: of the decisions.
     """
 
@@ -65,9 +66,10 @@ def _landmarks(path: Path) -> MapEstimate:
 
 
 def _decisions(path: Path) -> IntArray:
-    """Frame, observation, decision and final decision (by default the same)."""
-    table = read_table(path, ("frame", "observation", "decision"), ("final_decision",))
+    """Frame, observation, decision and final decision (by default the same), and what it begins, if that is there."""
+    table = read_table(path, ("frame", "observation", "decision"), ("final_decision", "begins"))
     final = "final_decision" if "final_decision" in table else "decision"
     least = {"frame": 0, "observation": 0, "decision": DISCARD, final: DISCARD}
     whole = {name: table.integers(name, smallest) for name, smallest in least.items()}
-    return np.column_stack([*(whole[name] for name in ("frame", "observation", "decision")), whole[final]])
+    begins = [table.integers("begins", -1)] if "begins" in table else []
+    return np.column_stack([*(whole[name] for name in ("frame", "observation", "decision")), whole[final], *begins])

@@ -189,6 +189,7 @@ class MapAndDecisions:
     landmarks: MapEstimate | None = None
     decisions: IntArray | None = None
     final: IntArray | None = None
+    begun: IntArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,7 +292,7 @@ def given_run(
     decisions = np.full(m, DISCARD, np.int64) if kept.decisions is None else kept.decisions
     final = decisions if kept.final is None else kept.final
     created = created_by(decisions, final, task)
-    begun = begun_by(final, created)
+    begun = begun_by(final, created) if kept.begun is None else kept.begun
     gone: list[Notice] = []
     if kept.landmarks is not None and kept.decisions is not None and task != "localization":
         removed = np.setdiff1d(created[created >= 0], kept.landmarks.number)

@@ -89,7 +89,7 @@ SAME_ROUNDS = 2  # smoothings with merged landmarks: places agree better then
 
 PLAIN_MOST = 2  # landmarks of `jcbb` over those initialized in hindsight, above which it is not followed to its end
 PLAIN_ODDS = 40.0  # log odds from which the final decisions are those of `jcbb`, ...
-PLAIN_LEFT = 0.1  # ... whose map has no larger share of landmarks that left, or no more of them than that in hindsight
+PLAIN_LEFT = 0.1  # ... which are asked for if a larger share of the landmarks left
 
 # --- A frame without a prediction (placement.py) --------------------------------------------------------------------
 

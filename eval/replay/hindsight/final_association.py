@@ -25,10 +25,12 @@ ANGLES = 16  # directions of a residual over which its tails are averaged
 
 
 class Reassociation(NamedTuple):
-    """Landmark (m,) of every observation, -1 for none; alone (m,): inside no other landmark's inner gate."""
+    """Landmark (m,) of every observation, -1 for none; misfit (m,): squared distance from it, infinite for none, and
+    the gate's is added inside another landmark's inner gate.
+    """
 
     number: IntArray
-    alone: BoolArray
+    misfit: Array
 
 
 def noise_share(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations, number: IntArray) -> float:
@@ -113,7 +115,9 @@ def reassociate(
         threshold = e.threshold(constants.REASSOCIATION_GATE)
         number[rows] = gnn(e, constants.REASSOCIATION_GATE)
         alone[rows] = (e.individual_distances() < inner * threshold).sum(axis=1) <= 1
-    return Reassociation(number, alone & (number >= 0))
+    misfit = np.where(number >= 0, np.where(alone, 0.0, gate), np.inf)
+    misfit[number >= 0] += distances(sensor, pose, known, seen, number)
+    return Reassociation(number, misfit)
 
 
 @njit
@@ -144,9 +148,9 @@ def _nearest(
 
 
 def beginnings(found: Reassociation) -> dict[int, int]:
-    """The observation that each landmark begins with: the first unambiguous one, or else the first. It names the
-    landmark, so an error there would make all right decisions after it wrong.
+    """The observation that each landmark begins with, the surest one. It names the landmark, so an error there
+    would make all its right decisions wrong.
     """
-    rows = np.lexsort((~found.alone, found.number))
+    rows = np.lexsort((found.misfit, found.number))
     numbers, first = np.unique(found.number[rows], return_index=True)
     return {n: row for n, row in zip(numbers.tolist(), rows[first].tolist(), strict=True) if n >= 0}

@@ -330,7 +330,7 @@ class Ledger:
 
     def reassociate(self, found: Reassociation) -> IntArray:
         """Assign all observations (M,) of the log to landmarks of the map; retract landmarks (r,) without any. The
-        observation that names a landmark becomes its first one; earlier ones are discarded.
+        observation that names a landmark initializes it, whatever was observed before; it need not be the first one.
         """
         first = beginnings(found)
         leaving = self._retract({n: UNREAD for n in self.records if n not in first})
@@ -339,7 +339,7 @@ class Ledger:
             record.observations.clear()
         for row, n in enumerate(found.number.tolist()):
             before, new = former.get(row, (-1, DISCARD)), DISCARD
-            if n >= 0 and row >= first[n]:
+            if n >= 0:
                 new = NEW if row == first[n] else n
                 self.records[n].observations.append((row, new))
             if before == (n, new) or before[1] == new == DISCARD:

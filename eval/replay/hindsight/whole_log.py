@@ -155,7 +155,7 @@ def renumbered(found: Reassociation, held: IntArray) -> Reassociation:
         if here not in other and there not in other.values():
             other[here] = there
     number = np.array([other.get(n, -1) for n in found.number.tolist()], np.int64)
-    return Reassociation(number, found.alone & (number >= 0))
+    return Reassociation(number, found.misfit)
 
 
 def likelier(ours: Smoothed, theirs: Smoothed, view: Sensor) -> float:
@@ -297,9 +297,6 @@ class WholeLog:
             other = self._smooth(number, *found[1:], by)
         except (DataError, UnderConstrained, FilterDivergedError, SingularInnovationError):
             return None  # it comes to no end
-        theirs = other.kept.left.sum()
-        if theirs > max(ours.kept.left.sum(), constants.PLAIN_LEFT * other.kept.stays.sum()):  # no world explains it
-            return None
         odds = likelier(ours, other, by.view)
         return None if odds < constants.PLAIN_ODDS else (_renamed(other, ours), odds)
 

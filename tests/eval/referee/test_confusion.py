@@ -43,8 +43,13 @@ def test_decisions_are_counted_by_hand():
     c = confuse(frame, true_id, np.array([NEW, NEW, 1]), np.array([0, 1, -1]), None)
     assert c.outcome.tolist() == [1, 3, 2]
     assert c.wrong == 1
-    gt = ground_truth(np.array([0, 0, 1]), np.array([5, 5, 5]), np.array([0, -1, -1]), None)
+    gt = ground_truth(np.array([0, 0, 1]), np.array([5, 5, 5]), np.array([NEW, NEW, 0]), np.array([0, -1, -1]), None)
     assert gt.tolist() == [-1, -1, 0]
+    # a revision pairs what was observed before the observation that names the landmark
+    late, begun = np.array([DISCARD, 0, 0, NEW, 0]), np.array([-1, -1, -1, 0, -1])
+    c = confuse(np.arange(5), np.array([5, 5, 6, 5, 5]), late, begun, None)
+    assert c.ground_truth.tolist() == [-1, 0, -1, -1, 0]
+    assert (c.tp, c.tn, c.fp, c.fn) == (2, 2, 1, 0)
     known = LandmarkMap(np.array([5, 6]), np.zeros((2, 2)))
     c = confuse(np.zeros(4, int), np.array([5, 6, 7, -1]), np.array([5, DISCARD, 6, DISCARD]), np.full(4, -1), known)
     assert c.ground_truth.tolist() == [5, 6, -1, -1]

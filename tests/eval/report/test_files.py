@@ -11,14 +11,14 @@ import pandas as pd
 import pytest
 
 from data import words
+from data.formats.results.tables import companions
 from data.notice import Code, Severity, notice
 from data.result import DISCARD, NEW, Innovations, Systematics
 from data.worlds.registry import named_log
 from eval.plan.flags.table import Output
-from eval.referee.given.runs import begun_by, created_by
 from eval.referee.score import Trial
 from eval.replay.run import step_by_step
-from eval.report import writing
+from eval.report import steps
 from eval.report.page.blocks import Report, Section
 from eval.report.publish import films_of, trajectory_table, write_films, write_run, write_truths, write_tum
 from eval.report.render import write_report
@@ -113,14 +113,14 @@ def test_decisions_are_judged_in_both_phases_where_the_truth_is_known(tmp_path):
 def test_a_landmark_that_begins_with_another_observation_is_written_with_its_number_there(tmp_path):
     """And what is written says all: which observation each landmark begins with, and so every outcome."""
     run = replace(
-        run_with_error(OFF), decisions=np.array([NEW, 0, 0, 0]), final_decisions=np.array([DISCARD, NEW, 0, 0]),
-        created=np.array([0, -1, -1, -1]), begun=np.array([-1, 0, -1, -1]),
+        run_with_error(OFF), decisions=np.array([NEW, 0, 0, 0]), final_decisions=np.array([DISCARD, 0, NEW, 0]),
+        created=np.array([0, -1, -1, -1]), begun=np.array([-1, -1, 0, -1]),
     )  # fmt: skip
-    table = pd.read_csv(written(tmp_path, run) / "decisions.csv")
+    place = written(tmp_path, run)
+    table = pd.read_csv(place / "decisions.csv")
     assert table["final_decision"].tolist() == [DISCARD, 0, 0, 0]
-    assert table["final_outcome"].str.upper().tolist() == ["TN", "TN", "TP", "TP"]
-    created = created_by(table["decision"].to_numpy(), table["final_decision"].to_numpy(), "slam")
-    assert begun_by(table["final_decision"].to_numpy(), created).tolist() == run.begun.tolist()
+    assert table["final_outcome"].str.upper().tolist() == ["TN", "TP", "TN", "TP"]
+    assert companions(place).decisions[:, 4].tolist() == run.begun.tolist()
 
 
 def test_landmarks_have_their_true_ids_and_what_was_seen_of_them(tmp_path):
@@ -222,13 +222,13 @@ class Marks:
 def places(tmp_path_factory):
     """Texts of a run in which every code is found, by place."""
     out = tmp_path_factory.mktemp("codes") / "report"
-    templates, found = words.environment, writing.notices
+    templates, found = words.environment, steps.notices
     marked = SimpleNamespace(get_template=lambda _: SimpleNamespace(module=Marks()))
     with pytest.MonkeyPatch.context() as patch:
         said: list[str] = []
         patch.setattr(words, "environment", lambda package: marked if package == "data" else templates(package))
         every = [notice(code).about(**ABOUT) for code in Code]
-        patch.setattr(writing, "notices", lambda trials, scores, known: found(trials, scores, [*known, *every]))
+        patch.setattr(steps, "notices", lambda trials, scores, known: found(trials, scores, [*known, *every]))
         patch.setattr("eval.plan.console._print", said.append)
         run = ["--log", SHORT, "--task", "slam", "--estimator", "ekf", "--association", "known", "--no-plots"]
         main([*run, "--out", str(out), "--jobs", "1"])

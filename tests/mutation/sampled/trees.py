@@ -95,13 +95,10 @@ class _First:
 
     def pytest_runtest_logreport(self, report: Any) -> None:
         if report.failed and self.to:
-            self.to.send(report.nodeid)
+            self.to.send(report.nodeid or BROKEN)
             self.to = None
 
-    def pytest_collectreport(self, report: Any) -> None:
-        if report.failed and self.to:
-            self.to.send(f"{report.nodeid or BROKEN}")
-            self.to = None
+    pytest_collectreport = pytest_runtest_logreport
 
 
 def _environment(tree: Path) -> dict[str, str]:
@@ -119,8 +116,9 @@ def _run(tree: Path, what: Sequence[str], to: Any) -> None:
     with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
         first = _First(to)
         status = pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", *what], plugins=[first])
-        # a usage error: the test with this id is not there any more
-        fine = (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED, pytest.ExitCode.USAGE_ERROR)
+        fine = {pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED}
+        # a usage error: the test with this id is not there any more; of whole files: a conftest.py cannot be loaded
+        fine |= {pytest.ExitCode.USAGE_ERROR} if "::" in what[0] else set()
         if status not in fine and first.to:
             to.send(BROKEN)
     os._exit(0)

@@ -112,14 +112,15 @@ def test_each_frame_is_paired_at_least_cost_and_what_one_landmark_alone_explains
         expected = by_trying_all(d2, gate)
         assert found.number[rows].tolist() == [-1 if j < 0 else known.id[j] for j in expected]
         single = (d2 < gate).sum(axis=1) == 1
-        assert found.alone[rows].tolist() == [bool(s) and j >= 0 for s, j in zip(single, expected, strict=True)]
+        own = [np.inf if j < 0 else d2[i, j] + (0.0 if single[i] else gate) for i, j in enumerate(expected)]
+        assert found.misfit[rows].tolist() == pytest.approx(own)
 
 
-def test_a_landmark_begins_with_its_first_reading_that_is_of_nobody_else():
+def test_a_landmark_begins_with_its_surest_reading():
     number = np.array([4, 4, -1, 6, 4, 6, 9, 9])
-    alone = np.array([False, True, False, True, True, True, False, False])
-    assert beginnings(Reassociation(number, alone)) == {4: 1, 6: 3, 9: 6}
-    assert beginnings(Reassociation(number[:0], alone[:0])) == {}
+    misfit = np.array([15.0, 2.0, np.inf, 1.0, 0.5, 3.0, 14.0, 14.0])
+    assert beginnings(Reassociation(number, misfit)) == {4: 4, 6: 3, 9: 6}
+    assert beginnings(Reassociation(number[:0], misfit[:0])) == {}
 
 
 VIEW = RelativePoint(max_range=10.0, min_angle=-1.0, max_angle=1.0)
@@ -133,7 +134,7 @@ def decided(number, z, xy, looks=None, motion=0.0, share=1.0):
     m, number = len(z), np.array(number)
     seen = Observations(np.arange(m), np.asarray(z, float), np.tile(NOISE**2 * np.eye(2), (m, 1, 1)))
     ids = np.arange(len(xy))
-    found = Reassociation(number, np.ones(m, np.bool_))
+    found = Reassociation(number, np.zeros(m))
     known = LandmarkMap(ids, np.asarray(xy, float))
     return Smoothed(
         VIEW,
@@ -203,7 +204,7 @@ def test_a_landmark_that_would_not_stay_counts_as_clutter():
 
 
 def test_landmarks_get_the_numbers_of_those_with_most_observations_in_common():
-    found = Reassociation(np.array([0, 0, 0, 1, 1, 2, -1]), np.ones(7, np.bool_))
+    found = Reassociation(np.array([0, 0, 0, 1, 1, 2, -1]), np.zeros(7))
     held = np.array([7, 7, 4, 7, 4, DISCARD, 4])
     assert renumbered(found, held).number.tolist() == [7, 7, 7, 4, 4, -1, -1]
     assert renumbered(found, np.full(7, DISCARD)).number.tolist() == [-1] * 7

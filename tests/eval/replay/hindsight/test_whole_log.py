@@ -51,13 +51,14 @@ def test_isam2_ends_where_batch_does_with_the_last_decisions(crowded):
     assert isam2.total_nis == pytest.approx(batch.total_nis, rel=1e-4)
 
 
-def test_each_landmark_of_the_map_begins_once_and_before_all_its_readings(crowded):
+def test_each_landmark_of_the_map_begins_once_and_is_there_from_its_first_reading_on(crowded):
     for run in crowded[1]:
         begun = run.initialized
         assert sorted(begun[begun >= 0]) == run.map.number.tolist()
         assert np.array_equal(begun >= 0, run.final_decisions == NEW)
-        for n in run.map.number.tolist():
-            assert np.flatnonzero(begun == n)[0] < np.flatnonzero(run.final_decisions == n).min(initial=10**9)
+        frames = crowded[0].recorded.observations.frame
+        first = [frames[(begun == n) | (run.final_decisions == n)].min() for n in run.map.number]
+        assert run.map.first_frame.tolist() == first
         assert run.map.times_seen.tolist() == [(run.final_decisions == n).sum() + 1 for n in run.map.number]
 
 
