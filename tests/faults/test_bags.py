@@ -100,9 +100,7 @@ READERS = {
 }
 
 
-@cache
-def code(text: str) -> CodeType:
-    return compile(text, "<string>", "exec")
+code = cache(lambda text: compile(text, "<string>", "exec"))
 
 
 def compiled_once(text: str | CodeType, *spaces: Any) -> None:

@@ -39,11 +39,8 @@ def _pairs(row: Mapping[str, str], names: Sequence[str]) -> list[tuple[tuple[str
 
 
 def _gained(row: Mapping[str, str], name: str, level: str, names: Sequence[str], left: set[object]) -> int:
-    count = 0
-    for other, value in row.items():
-        a, b = sorted([(name, level), (other, value)], key=lambda pair: names.index(pair[0]))
-        count += (a, b) in left
-    return count
+    pairs = (sorted([(name, level), other], key=lambda pair: names.index(pair[0])) for other in row.items())
+    return sum(tuple(pair) in left for pair in pairs)
 
 
 WORLDS = (

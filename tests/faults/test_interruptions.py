@@ -32,10 +32,9 @@ pytestmark = pytest.mark.slow
 
 def started(*words):
     """The command, as a process of its own."""
+    streams = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
     command = [sys.executable, "-m", "eval.run_all", *map(str, words)]
-    return subprocess.Popen(
-        command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True, text=True
-    )
+    return subprocess.Popen(command, cwd=ROOT, start_new_session=True, **streams)
 
 
 def done(*words):

@@ -62,8 +62,6 @@ def fault_named(name: Named, root: Path) -> Fault | None:
 
 def stored() -> list[Named]:
     """The fixed set."""
-    if not SET.exists():
-        return []
     with SET.open(newline="", encoding="utf-8") as file:
         return [Named(**row) for row in csv.DictReader(file)]
 

@@ -95,13 +95,10 @@ class _First:
 
     def pytest_runtest_logreport(self, report: Any) -> None:
         if report.failed and self.to:
-            self.to.send(report.nodeid)
+            self.to.send(report.nodeid or BROKEN)
             self.to = None
 
-    def pytest_collectreport(self, report: Any) -> None:
-        if report.failed and self.to:
-            self.to.send(f"{report.nodeid or BROKEN}")
-            self.to = None
+    pytest_collectreport = pytest_runtest_logreport
 
 
 def _environment(tree: Path) -> dict[str, str]:

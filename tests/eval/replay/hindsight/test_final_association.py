@@ -116,7 +116,7 @@ def test_each_frame_is_paired_at_least_cost_and_what_one_landmark_alone_explains
         assert found.misfit[rows].tolist() == pytest.approx(own)
 
 
-def test_a_landmark_begins_with_its_least_doubtful_reading():
+def test_a_landmark_begins_with_its_surest_reading():
     number = np.array([4, 4, -1, 6, 4, 6, 9, 9])
     misfit = np.array([15.0, 2.0, np.inf, 1.0, 0.5, 3.0, 14.0, 14.0])
     assert beginnings(Reassociation(number, misfit)) == {4: 4, 6: 3, 9: 6}
