@@ -691,7 +691,7 @@ READINGS: tuple[Reading, ...] = (
 AGREES = 1.5  # Two parts agree if they differ by at most this multiple of the stated noise
 LEFT = 2.0  # Above this multiple of the stated noise parts contradict each other under a reading, too: pairs are tried
 CLEAR = 20.0  # Least gain of a reading in log-likelihood
-SLIGHT = 0.05  # Least difference that a reading without a number explains: it changes all of what is compared
+SLIGHT = 0.05  # Least difference that a reading without a number, or of turns, explains: it changes all of them
 PLAIN, LESS, POOR, NEAREST = 0.6, 0.8, 0.4, 0.13
 """Largest share of a witness's difference that another reading may leave (`LESS` if it has a number to fit), and the
 largest difference that it may leave at all, relative to what is compared; by the nearest observations, without ids."""
@@ -857,12 +857,14 @@ def accepted(e: Explained) -> bool:
     r = e.readings[-1]
     share = LESS if r.kind in LEAST else PLAIN
     far = any(r.kind == CLOCK and abs(r.number) > CLOCKS[-1] for r in e.readings)  # at one of many some fit by chance
-    plain = e.gain > CLEAR and e.fits <= min(share * e.stated, e.poor / 2.0 if far else e.poor)
-    return plain and _matters(r) and ((r.kind in LEAST and "omega" not in r.of) or e.stated > SLIGHT)
+    return e.gain > CLEAR and e.fits <= min(share * e.stated, e.poor / 2.0 if far else e.poor) and _matters(e)
 
 
-def _matters(r: Reading) -> bool:
-    """Whether a number that was searched for is large enough to be named."""
+def _matters(e: Explained) -> bool:
+    """Whether what is explained, and a number that was searched for, are large enough to be named."""
+    r = e.readings[-1]
+    if (r.kind not in LEAST or "omega" in r.of) and e.stated <= SLIGHT:
+        return False
     return r.kind not in LEAST or abs(math.log(r.number) if r.kind == SCALE else r.number) >= LEAST[r.kind]
 
 
@@ -1162,7 +1164,7 @@ def explanations(c: Case) -> list[Explained]:
     if not found or found[0].left:
         singles = sorted([*singles, *x.numbered()], key=lambda e: -e.gain)
         found = [e for e in singles if accepted(e)]
-    seeds = found[:1] or [e for e in singles[:3] if e.gain > CLEAR and _matters(e.readings[0])]
+    seeds = found[:1] or [e for e in singles[:3] if e.gain > CLEAR and _matters(e)]
     seeds = [e for e in seeds if e.readings[0].kind != SUMMED]  # which is half a frame late
     if not found or found[0].left:
         for e in seeds:

@@ -190,8 +190,6 @@ def soak(name: str, count: int, seed: int = 0) -> Soaked:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) < 3:
-        sys.stdout.write("\n".join(CASES) + "\n")
-    else:
-        with threadpool_limits(1):
-            sys.stdout.write(json.dumps(soak(sys.argv[1], int(sys.argv[2]))._asdict()) + "\n")
+    with threadpool_limits(1):
+        said = json.dumps(soak(sys.argv[1], int(sys.argv[2]))._asdict()) if sys.argv[2:] else "\n".join(CASES)
+    sys.stdout.write(said + "\n")

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 from tests.mutation.sampled.mutants import Fault, faults_of
 from tests.mutation.sampled.nearest import PACKAGES, importers, nearest_tests
-from tests.mutation.sampled.trees import HANGS, ROOT, broken, failing, load_libraries, prepared
+from tests.mutation.sampled.trees import BROKEN, HANGS, ROOT, broken, failing, load_libraries, prepared
 
 SET = Path(__file__).with_name("faults.csv")
 NEAREST = 12
@@ -77,7 +77,7 @@ def is_there(test: str) -> bool:
     """Whether the file still has the test (or is it), by name; parameters are not looked at."""
     path, _, name = test.partition("::")
     if not (file := ROOT / path).is_file():
-        return test == HANGS
+        return test in (HANGS, BROKEN)
     return f"def {name.partition('[')[0].rpartition('::')[2]}" in file.read_text("utf-8")
 
 
