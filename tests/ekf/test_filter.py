@@ -7,7 +7,7 @@ import pytest
 
 from association.decide import known_decisions
 from data import se2
-from data.inputs import FrameObservations, LandmarkMap, Prior
+from data.inputs import FrameObservations, Inputs, LandmarkMap, Prior
 from data.result import NEW
 from data.sensors import RangeBearing, RelativePoint
 from data.worlds.arena import Arena, simulate
@@ -72,12 +72,16 @@ def test_tutorial_options_add_uncorrelated_landmarks():
     assert not slam.covariance[3:, :3].any()
 
 
-def test_removing_a_landmark_marginalizes_it_out_and_its_number_is_not_reused():
-    log = simulate(SMALL, 5)
-    inputs = log.inputs(labels=True).without_map()
-    decisions, _ = known_decisions(inputs)
+def driven(seed: int) -> tuple[EkfSlam, Inputs]:
+    """A SLAM filter after a log with labels."""
+    inputs = simulate(SMALL, seed).inputs(labels=True).without_map()
     f = EkfSlam(inputs.prior, inputs.sensor)
-    drive(f, inputs, decisions)
+    drive(f, inputs, known_decisions(inputs)[0])
+    return f, inputs
+
+
+def test_removing_a_landmark_marginalizes_it_out_and_its_number_is_not_reused():
+    f, _ = driven(5)
     before, P = f.mean, f.covariance
     f.remove(np.array([1]))
     stay = np.r_[0:5, 7 : len(before)]
@@ -93,11 +97,7 @@ def test_removing_a_landmark_marginalizes_it_out_and_its_number_is_not_reused():
 
 
 def test_expectation_blocks_are_those_of_the_joint_and_go_stale():
-    log = simulate(SMALL, 2)
-    inputs = log.inputs(labels=True).without_map()
-    decisions, _ = known_decisions(inputs)
-    f = EkfSlam(inputs.prior, inputs.sensor)
-    drive(f, inputs, decisions)
+    f, inputs = driven(2)
     e = f.expect(inputs.frame_observations(0))
     joint = e.joint(np.arange(len(e.number)))
     for i in range(len(e.number)):

@@ -17,6 +17,14 @@ def edit(text: str, line: int, field: int, new: str) -> str:
     return "\n".join(lines)
 
 
+def refused(save, tmp_path, files, old, new, message):
+    """A folder of these files, with one text of its header changed, is refused."""
+    assert old in files["log.toml"]
+    files["log.toml"] = files["log.toml"].replace(old, new, 1)
+    with pytest.raises(DataError, match=rf"log\.toml: {message}"):
+        load_folder(save(tmp_path, files))
+
+
 # source, file, line, field, new value, what the message must say
 FIELDS = [
     ("frames", "frames.csv", 3, 0, "two", ":3: column t: 'two' is not a number"),

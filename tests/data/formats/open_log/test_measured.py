@@ -13,7 +13,7 @@ from data.motion.motion_prior import ConstantVelocityPrior, ForwardPrior
 from data.pose_measurements import FixKind
 from tests.data.formats.open_log.measured import CLOSURE, FIX, measured_files
 from tests.data.formats.open_log.same_log import assert_same_log, load
-from tests.data.formats.open_log.test_faults import edit
+from tests.data.formats.open_log.test_faults import edit, refused
 
 
 @pytest.mark.parametrize("source", ["frames", "odometry"])
@@ -104,11 +104,7 @@ def test_a_bad_field_is_named_with_file_line_column_and_value(save, tmp_path, fi
     ("sigma = [0.1, 0.2, 0.01]", "sigma = [0.1, 0.2]", r"\[closure\] sigma.*three numbers"),
 ])  # fmt: skip
 def test_a_bad_source_is_named(save, tmp_path, old, new, message):
-    files = measured_files("frames")
-    assert old in files["log.toml"]
-    files["log.toml"] = files["log.toml"].replace(old, new, 1)
-    with pytest.raises(DataError, match=rf"log\.toml: {message}"):
-        load_folder(save(tmp_path, files))
+    refused(save, tmp_path, measured_files("frames"), old, new, message)
 
 
 @pytest.mark.parametrize(("gone", "table"), [("fixes.csv", "fix"), ("closures.csv", "closure")])

@@ -11,7 +11,7 @@ from data.formats.open_log import contents, load_folder, write_folder
 from data.questions.summary import summarize
 from data.sensors import Bearing, Range, RangeBearing
 from tests.data.formats.open_log.same_log import assert_same_log, load
-from tests.data.formats.open_log.test_faults import edit
+from tests.data.formats.open_log.test_faults import edit, refused
 
 TOML = """\
 format = 2
@@ -131,20 +131,12 @@ def test_a_bad_field_is_named_with_file_line_column_and_value(save, tmp_path, li
     ("format = 2", "format = 1", r"\[sensor\] name = 'lidar': format = 2 is needed"),
     ('name = "camera"\n', "", r"\[sensor\] name: missing"),
     ('name = "camera"', 'name = "lidar"', r"\[sensor\] name = 'lidar': the name of two tables"),
-    (
-        'kind = "bearing"',
-        'kind = "line"\nmax_range = 3',
-        r"\[sensor\] sigma = \[0.03\]: two numbers > 0 are needed",
-    ),
+    ('kind = "bearing"', 'kind = "line"\nmax_range = 3', r"\[sensor\] sigma = \[0.03\]: two numbers > 0 are needed"),
     ("sigma = [0.03]", "sigma = [0.03, 0.1]", r"\[sensor\] sigma = \[0.03, 0.1\]: one number > 0 is needed"),
     ('kind = "bearing"\nrotation = 0.5\nsigma = [0.03]', 'kind = "line"', r"\[\[sensor\]\]: lines beside points"),
 ])  # fmt: skip
 def test_a_bad_sensor_is_named(save, tmp_path, old, new, message):
-    files = files_of("frames")
-    assert old in files["log.toml"]
-    files["log.toml"] = files["log.toml"].replace(old, new, 1)
-    with pytest.raises(DataError, match=rf"log\.toml: {message}"):
-        load_folder(save(tmp_path, files))
+    refused(save, tmp_path, files_of("frames"), old, new, message)
 
 
 def test_the_summary_has_a_line_for_each_sensor(save, tmp_path):

@@ -77,11 +77,12 @@ LOGS: dict[str, Callable[[Path, Any], object]] = {
 def lab(
     folder: Path, config: Config | None = None, columns: dict[str, Any] | None = None, *, form: str = "log.mat"
 ) -> Path:
-    """A folder in the lab's format, made without the code under test."""
+    """A folder in the lab's format, made without the code under test; without a log where `form` is empty."""
     images = folder / "landmark"
     images.mkdir(parents=True)
     scipy.io.savemat(folder / "settings.mat", configuration() if config is None else config)
-    LOGS[form](folder / form, log_arrays() if columns is None else columns)
+    if form:
+        LOGS[form](folder / form, log_arrays() if columns is None else columns)
     for i in range(2):
         cv2.imwrite(str(images / f"landmark{i + 1}.png"), np.full((6, 8, 3), (10 + i, 20, 30), np.uint8))
     return folder

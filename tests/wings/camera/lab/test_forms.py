@@ -125,8 +125,7 @@ def test_configuration_and_log_may_share_a_file_and_the_log_may_have_another_nam
 @pytest.mark.parametrize("kind", ["dicts", "list", "structs", "npz"])
 def test_objects_are_read_only_when_trusted(tmp_path: Path, kind: str) -> None:
     columns: dict[str, Any] = log_arrays()
-    folder = lab(tmp_path / "lab")
-    (folder / "log.mat").unlink()
+    folder = lab(tmp_path / "lab", form="")
     if kind == "npz":
         rgb = np.empty(FRAMES, object)
         rgb[:] = list(columns["rgb"])
@@ -143,8 +142,7 @@ def test_objects_are_read_only_when_trusted(tmp_path: Path, kind: str) -> None:
 
 
 def test_a_refused_pickle_runs_nothing(tmp_path: Path) -> None:
-    folder = lab(tmp_path / "lab")
-    (folder / "log.mat").unlink()
+    folder = lab(tmp_path / "lab", form="")
     array = np.empty(1, object)
     array[0] = _Trap(str(tmp_path / "sprung"))
     np.save(folder / "log.npy", array)
@@ -169,15 +167,13 @@ class _Trap:
     (np.array([], object), "the log has no timestamp"),
 ])  # fmt: skip
 def test_trusted_objects_of_another_shape_are_refused(tmp_path: Path, content: Any, said: str) -> None:
-    folder = lab(tmp_path / "lab")
-    (folder / "log.mat").unlink()
+    folder = lab(tmp_path / "lab", form="")
     np.save(folder / "log.npy", content)
     refuse(folder, said, trust_pickle=True)
 
 
 def test_a_trusted_frame_without_a_field_or_with_ragged_values_is_named(tmp_path: Path) -> None:
-    folder = lab(tmp_path / "lab")
-    (folder / "log.mat").unlink()
+    folder = lab(tmp_path / "lab", form="")
     log = as_dicts(log_arrays())
     del log[2]["xyz"]
     np.save(folder / "log.npy", log)
@@ -236,8 +232,7 @@ def saved(path: Path, columns: dict[str, Any] | None, config: Any = None, shape:
 
 @pytest.mark.parametrize("shape", [(1, FRAMES), (FRAMES, 1)])
 def test_a_log_of_version_7_3_gives_the_same_frames_as_often_as_asked(tmp_path: Path, shape: tuple[int, int]) -> None:
-    columns, folder = log_arrays(), lab(tmp_path / "lab")
-    (folder / "log.mat").unlink()
+    columns, folder = log_arrays(), lab(tmp_path / "lab", form="")
     saved(folder / "log.mat", columns, shape=shape)
     recording = open_lab(folder)
     for frames in read_twice(recording, columns):
@@ -254,15 +249,13 @@ def test_faults_of_a_log_of_version_7_3_are_named(
 ) -> None:
     columns: dict[str, Any] = log_arrays()
     change(columns)
-    folder = lab(tmp_path / "lab")
-    (folder / "log.mat").unlink()
+    folder = lab(tmp_path / "lab", form="")
     saved(folder / "log.mat", columns)
     refuse(folder, said)
 
 
 def test_damaged_files_of_version_7_3_are_refused_in_a_line(tmp_path: Path) -> None:
-    folder = lab(tmp_path / "lab")
-    (folder / "log.mat").unlink()
+    folder = lab(tmp_path / "lab", form="")
     saved(folder / "log.mat", log_arrays())
     content = (folder / "log.mat").read_bytes()
     (folder / "log.mat").write_bytes(content[: len(content) // 2])

@@ -60,8 +60,7 @@ FORMS: dict[str, Callable[[dict[str, Any], Path], Any]] = {
 @pytest.mark.parametrize("suffix", [".npy", ".pkl"])
 @pytest.mark.parametrize("form", FORMS)
 def test_every_form_of_objects_gives_the_same_frames_once_trusted(tmp_path: Path, form: str, suffix: str) -> None:
-    columns, folder = log_arrays(), lab(tmp_path / "lab")
-    (folder / "log.mat").unlink()
+    columns, folder = log_arrays(), lab(tmp_path / "lab", form="")
     content, path = FORMS[form](columns, tmp_path), folder / f"log{suffix}"
     if suffix == ".npy":
         np.save(path, objects([content], ()) if isinstance(content, dict) else content, allow_pickle=True)
@@ -77,8 +76,7 @@ def test_every_form_of_objects_gives_the_same_frames_once_trusted(tmp_path: Path
 
 @pytest.mark.parametrize("shape", [(-1, 1), (1, -1), (-1,)])
 def test_object_arrays_of_an_archive_may_be_columns_or_rows(tmp_path: Path, shape: tuple[int, ...]) -> None:
-    columns, folder = log_arrays(), lab(tmp_path / "lab")
-    (folder / "log.mat").unlink()
+    columns, folder = log_arrays(), lab(tmp_path / "lab", form="")
     np.savez(folder / "log.npz", **columns_of_objects(columns, shape))  # type: ignore[arg-type]
     refuse(folder, "timestamp holds Python objects.*--trust-pickle")
     frames = all_frames(open_lab(folder, trust_pickle=True))
@@ -88,8 +86,7 @@ def test_object_arrays_of_an_archive_may_be_columns_or_rows(tmp_path: Path, shap
 
 def test_a_log_of_one_frame_is_one_dict_or_columns_of_one_row(tmp_path: Path) -> None:
     one = {name: column[:1] for name, column in log_arrays().items()}
-    folder = lab(tmp_path / "lab")
-    (folder / "log.mat").unlink()
+    folder = lab(tmp_path / "lab", form="")
     for content in (one, {name: column[0] for name, column in one.items()}):
         (folder / "log.pkl").write_bytes(pickle.dumps(content))
         (frame,) = all_frames(open_lab(folder, trust_pickle=True))
@@ -108,15 +105,13 @@ def test_faults_of_a_dict_of_arrays_name_field_and_frame(
 ) -> None:
     columns: dict[str, Any] = log_arrays()
     change(columns)
-    folder = lab(tmp_path / "lab")
-    (folder / "log.mat").unlink()
+    folder = lab(tmp_path / "lab", form="")
     (folder / "log.pkl").write_bytes(pickle.dumps(columns))
     refuse(folder, said, trust_pickle=True)
 
 
 def test_a_pickle_that_does_not_load_is_refused_in_a_line(tmp_path: Path) -> None:
-    folder = lab(tmp_path / "lab")
-    (folder / "log.mat").unlink()
+    folder = lab(tmp_path / "lab", form="")
     (folder / "log.pkl").write_bytes(b"\x80\x04nonsense")
     refuse(folder, r"log.pkl: the pickle cannot be loaded", trust_pickle=True)
 
