@@ -177,7 +177,7 @@ def said(tmp_path, monkeypatch, refused):
     (f"{TABLE} --columns omega=omga", "did you mean omega?"),
     (f"{TABLE} --odometry-kind velocity", "did you mean velocities?"),
     (f"{TABLE} --odometry-noise densty", "did you mean density?"),
-    (f"{TABLE} --unit v=kmh", "did you mean km/h?"),
+    (f"{TABLE} --unit v=kmhr", "did you mean km/h?"),
     (f"{TABLE} --tick-wrap 65536", "of wheel ticks; the odometry has velocities"),
     ("run arena:0 -estimator ekf", "did you mean --estimator?"),
     ("run arena0", "Did you mean arena:0?"),
