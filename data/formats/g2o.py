@@ -420,7 +420,7 @@ def of_result(log: Log, folder: Path) -> Estimate:
     if len(of):
         if beside.decisions is None:
             raise DataError.at(file, "no such file; the decisions of the run are needed")
-        frame, _, online, final = beside.decisions.T
+        frame, _, online, final = beside.decisions[:, :4].T
         if not np.array_equal(frame, inputs.observations.frame):
             raise DataError.at(file, f"its frames are not those of log {log.name!r}; another log's?")
         founded = np.where(online == -1, np.cumsum(online == -1) - 1, -1)

@@ -865,10 +865,14 @@ def _matters(e: Explained) -> bool:
     r = e.readings[-1]
     if (r.kind not in LEAST or "omega" in r.of) and e.stated <= SLIGHT:
         return False
-    return r.kind not in LEAST or abs(math.log(r.number) if r.kind == SCALE else r.number) >= LEAST[r.kind]
+    scales = [q for q in e.readings if q.kind == SCALE]
+    if any(abs(math.log(q.number)) < (SHARPER if "omega" in q.of else LARGER) for q in scales):
+        return False
+    return r.kind not in LEAST or r.kind == SCALE or abs(r.number) >= LEAST[r.kind]
 
 
 LARGER = 0.2  # Least logarithm of a scale that is named: wheels are wrong by less, and `--calibrate` finds that
+SHARPER = 0.5  # That of turns: a constant rate of 0.1 rad/s in a log of one circle is a scale of 1.26 as well
 LEAST = {CLOCK: 0.03, TURNED: 10.0, SCALE: LARGER, PLACED: 0.1}  # Least s, deg, logarithms of scales and m
 SIZE, NAMES, ROWS = "size", "names", "rows"
 BRISK, SPEED, CRAWL, SLOW = 5.0, 50.0, 200.0, 0.05
