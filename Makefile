@@ -80,20 +80,23 @@ lock: ## pin both lock files anew; LOCK_ARGS=--upgrade for the newest versions
 TOOLS := pytest pytest-xdist hypothesis rosbags h5py smfeval distributed hatchling
 PART := tests/association tests/ekf tests/graph tests/eval/referee
 # deprecations of newer packages beside the oldest ones are no faults of ours, hence -W default
-lowest: ## the fast tests with the oldest packages that pyproject.toml allows, in .venv/lowest
+lowest: .venv/lowest/.installed ## the fast tests with the oldest packages that pyproject.toml allows, in .venv/lowest
+	.venv/lowest/bin/python -m pytest -n 2 --dist worksteal -W default $(PYTEST_ARGS)
+
+.venv/lowest/.installed: pyproject.toml
 	$(PYTHON) -m venv .venv/lowest
 	.venv/lowest/bin/python -m pip install --quiet uv
 	.venv/lowest/bin/uv pip compile --no-config --quiet --resolution lowest-direct --only-binary :all: \
 	    --output-file .venv/lowest/pins.txt pyproject.toml
 	VIRTUAL_ENV=.venv/lowest .venv/lowest/bin/uv pip install --no-config --quiet -r .venv/lowest/pins.txt -e . $(TOOLS)
-	.venv/lowest/bin/python -m pytest -n 2 --dist worksteal -W default $(PYTEST_ARGS)
+	touch $@
 
-# the sdist gives the same wheel; a user's files with the names of our packages are no obstacle
 pythons: ## the newest packages on every newer Python that is there, a part of the tests
 	for v in 3.12 3.13 3.14; do python$$v -c '' 2>/dev/null || continue; \
 	    python$$v -m venv .venv/py$$v && .venv/py$$v/bin/python -m pip install --quiet -e . $(TOOLS) \
 	    && .venv/py$$v/bin/python -m pytest -n 2 --dist worksteal -W default $(PYTEST_ARGS) $(PART) || exit 1; done
 
+# the sdist gives the same wheel; a user's files with the names of our packages are no obstacle
 release: .venv/.installed ## wheel, sdist, recipe and notes of the version in dist, tried in an empty environment; uploads nothing
 	rm -rf dist build/release build/again
 	$(BIN)/python -m hatchling build -d dist
