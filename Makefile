@@ -69,7 +69,7 @@ site: .venv/.warm .venv/.site ## build the documentation site into build/site, s
 firmware: ## build the small robot's firmware into build/firmware; needs avr-gcc
 	@$(MAKE) --no-print-directory -C docs/robot/firmware OUT=$(CURDIR)/build/firmware
 
-PINNED := .venv/lock/bin/uv pip compile --no-config --quiet --universal --fork-strategy fewest --python-version 3.11 \
+PINNED := .venv/lock/bin/uv pip compile --no-config --system-certs --quiet --universal --fork-strategy fewest --python-version 3.11 \
     --generate-hashes --custom-compile-command 'make lock'
 lock: ## pin both lock files anew; LOCK_ARGS=--upgrade for the newest versions
 	$(PYTHON) -m venv .venv/lock
@@ -86,9 +86,9 @@ lowest: .venv/lowest/.installed ## the fast tests with the oldest packages that 
 .venv/lowest/.installed: pyproject.toml
 	$(PYTHON) -m venv .venv/lowest
 	.venv/lowest/bin/python -m pip install --quiet uv
-	.venv/lowest/bin/uv pip compile --no-config --quiet --resolution lowest-direct --only-binary :all: \
+	.venv/lowest/bin/uv pip compile --no-config --system-certs --quiet --resolution lowest-direct --only-binary :all: \
 	    --output-file .venv/lowest/pins.txt pyproject.toml
-	VIRTUAL_ENV=.venv/lowest .venv/lowest/bin/uv pip install --no-config --quiet -r .venv/lowest/pins.txt -e . $(TOOLS)
+	VIRTUAL_ENV=.venv/lowest .venv/lowest/bin/uv pip install --no-config --system-certs --quiet -r .venv/lowest/pins.txt -e . $(TOOLS)
 	touch $@
 
 pythons: ## the newest packages on every newer Python that is there, a part of the tests
