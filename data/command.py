@@ -18,6 +18,13 @@ Add = Callable[..., argparse.ArgumentParser]
 COMPLETION = "_ARGCOMPLETE"  # Environment variable by which the shell asks for completions (argcomplete)
 
 
+def count(text: str) -> int:
+    """A flag's whole number from 0 up."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 up")
+    return int(text)
+
+
 def stretch(text: str) -> tuple[float, float]:
     """FROM:TO in seconds, FROM before TO."""
     begin, colon, end = text.partition(":")

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from data.command import Command
+from data.command import Command, count
 from data.errors import UsageError
 from data.terminal import counted, ended
 from eval.plan.flags import texts_of
@@ -19,18 +19,12 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     parser = Command(prog, PROG, *texts_of("twin"))
     parser.add_argument("log", metavar="LOG", help="an open log folder, or a name: victoria-park, arena:SEED, ...")
     parser.add_argument("out", metavar="OUT", type=Path, help="folder of the twin; replaces an earlier log")
-    parser.add_argument("--seed", type=_seed, default=0, metavar="S", help="random seed (default: 0)")
+    parser.add_argument("--seed", type=count, default=0, metavar="S", help="random seed (default: 0)")
     task = "task of the smoother (default: localization where LOG has a map, else slam)"
     parser.add_argument("--task", choices=TASKS, help=task)
     default = "(default: known where LOG has labels, jcbb for walls, else jcbb-hindsight)"
     parser.add_argument("--association", metavar="NAME", help=f"of {', '.join(ASSOCIATIONS)}, or your own {default}")
     return ended(lambda: _run(parser.read(argv)), "interrupted; nothing was written")
-
-
-def _seed(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r}: a whole number from 0 up is needed")
-    return int(text)
 
 
 def _run(options: argparse.Namespace) -> None:

@@ -1,450 +1,26 @@
 """Cross-examination of a log: what odometry, observations, map, ids and truth each say of the others.
 
-Every mistake that can be made in writing a log is a change of its arrays. Witnesses are pairs of its parts: the path of
-the odometry and the truth, what is observed as the odometry or the truth moves, observations and the map. Each compares
-what two parts say of one quantity, relative to its size, so that no unit is favoured. A log whose witnesses agree up to
-its stated noise is sound. Else each reading, and likely pairs of them, are tried, and the one that explains most is
-named, or those that explain it equally well.
+Every mistake that can be made in writing a log is a change of its arrays. Where witnesses contradict each other, each
+reading, and likely pairs of them, are tried. The one that explains most is named, or those that explain it as well.
 """
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial, reduce
+from functools import partial, reduce
 from typing import cast
 
 import numpy as np
-import scipy
 
 from data import se2
 from data.columns.named import LENGTH
 from data.inputs import IntArray
-from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
+from data.log import ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
 from data.notice import Code, Notice, notice
-from data.se2 import Array, BoolArray, between, compose, dead_reckoned, inverse, rigid_fit, transform_points, wrap_angle
+from data.questions import witnesses
+from data.questions.witnesses import EXACT, FEWEST, WEIGHT, WITNESSES, Case, Samples, by_nearest, case_of, changes
+from data.se2 import Array, between, compose, inverse, rigid_fit, transform_points, wrap_angle
 from data.sensors import RELATIVE_POINT
-from data.timeline import truth_at
-
-MOST = 200  # Largest number of pairs of a witness; more of them tell nothing more
-KEPT, HALF = (0.8, 0.598), (0.5, 0.307)
-"""Share of the smallest differences that count, and mean of so many smallest squares of normal vectors of the plane,
-over that of all: others are clutter, slips, and wrong ids; without ids many are of landmarks not seen again."""
-WEIGHT = 100.0  # Largest number of independent differences of a witness; errors of neighbouring ones are alike
-
-
-@dataclass(frozen=True)
-class Fit:
-    """How well two parts agree: RMS difference over the size of what is compared (2: none), the same of the stated
-    noise, and the number of differences.
-    """
-
-    off: float
-    noise: float
-    count: int
-
-    @property
-    def agrees(self) -> bool:
-        """Whether the difference is noise: as large as stated, or noise hides everything, as turns on straight ways."""
-        return self.off <= AGREES * self.noise or self.noise >= LOUDEST
-
-    @property
-    def cost(self) -> float:
-        """Minus the log-likelihood, with the noise that fits best, but not less than what is stated."""
-        return min(self.count, WEIGHT) * math.log(max(self.off, self.noise))
-
-
-def _fit(difference: Array, size: Array, variance: Array, kept: tuple[float, float] = KEPT) -> Fit | None:
-    """Of differences (n, k) of quantities of a size (n,), with variances (n,) by the stated noise."""
-    count = len(difference)
-    if count < FEWEST:
-        return None
-    square = np.sort(np.sum(difference**2, axis=1))[: max(int(kept[0] * count), 1)]
-    scale = float(np.median(size))
-    if not scale > 0.0 or not np.isfinite(square).all():
-        return None
-    noise = math.sqrt(kept[1] * float(np.median(variance))) / scale
-    return Fit(float(np.sqrt(np.mean(square))) / scale, min(max(noise, EXACT), LOUDEST), count)
-
-
-FEWEST = 12  # Fewest differences of a witness
-EXACT, LOUDEST = 1e-3, 1.0  # Least and largest noise over what is compared: rounding, and one that hides everything
-
-
-@dataclass(frozen=True, eq=False)
-class Case:
-    """The parts of a log as they are read.
-
-    Attributes:
-        time: (N,) s of frames; u: (N, 3) increments; spread: (N, 3) their variances along, across and in heading.
-        start: (3,) first pose.
-        truth, truth_time: (N, 3) true poses, NaN where unknown, and their stamps.
-        frame, at: (M,) frame and stamp of observations; z: (M, 2) range and bearing; R: (M, 2) their variances.
-        mount: (3,) pose of the sensor on the body.
-        id: (M,) landmarks, negative where unknown; None: there are no ids.
-        names, places: (L,) and (L, 2) of the map; None: there is none.
-        cartesian: points are observed; world: bearings count from the world's x axis.
-        stamped: stamps are in s.
-        kind: of the odometry, as of tables.
-        steps: (N,) samples of velocities in each increment, of arcs; None: another order of turning is stated.
-    """
-
-    time: Array
-    u: Array
-    spread: Array
-    start: Array
-    truth: Array | None
-    truth_time: Array
-    frame: IntArray
-    at: Array
-    z: Array
-    R: Array
-    mount: Array
-    id: IntArray | None
-    names: IntArray | None
-    places: Array | None
-    world: bool = False
-    cartesian: bool = False
-    stamped: bool = True
-    kind: str = "velocities"
-    steps: Array | None = None
-
-    @cached_property
-    def odometry(self) -> Array:
-        """Dead-reckoned path (N, 3), headings not wrapped."""
-        return dead_reckoned(self.start, self.u)
-
-    @cached_property
-    def along(self) -> tuple[Array, BoolArray] | None:
-        """Poses of the odometry (M, 3) at the observations' stamps, and which are within its span."""
-        return _poses_at(self.at, self.time, self.odometry)
-
-    @cached_property
-    def seen_from(self) -> tuple[Array, BoolArray] | None:
-        """The same of the truth."""
-        return None if self.truth is None else _poses_at(self.at, self.truth_time, self.truth)
-
-    def points(self, rows: IntArray, heading: Array) -> Array:
-        """Observed points (n, 2) in the body frame, with headings (n,) of the body."""
-        bearing = self.z[rows, 1] - (heading if self.world else 0.0)
-        xy = self.z[rows, :1] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
-        return transform_points(self.mount, xy)
-
-
-def _poses_at(at: Array, time: Array, pose: Array) -> tuple[Array, BoolArray] | None:
-    """Poses (M, 3) at stamps (M,), and which are known: within a gap of known ones."""
-    known = np.flatnonzero(np.isfinite(pose).all(axis=1))
-    if len(known) < 2:
-        return None
-    found = truth_at(time[known], pose[known], at)
-    return np.nan_to_num(found), np.asarray(np.isfinite(found).all(axis=1))
-
-
-def case_of(log: Log) -> Case:
-    """The log as it is read; observations only of one sensor that locates points."""
-    r, truth = log.recorded, log.truth
-    o, sensor = r.observations, r.sensor
-    locates = r.locates_points and len(o.z) > 0
-    z = sensor.polar(o.z) if locates else np.zeros((0, 2))
-    R = np.diagonal(o.R, axis1=1, axis2=2).copy() if locates else np.zeros((0, 2))
-    if locates and sensor.units[1] == "m":
-        across = 0.5 * R.sum(axis=1)
-        R = np.stack([across, across / np.maximum(z[:, 0], 1e-6) ** 2], axis=1)
-    frame = o.frame if locates else np.zeros(0, np.int64)
-    ids = log.granted if locates else None
-    known = (truth.landmarks if r.known_points is None else r.known_points) if locates else None
-    known = known if known is not None and len(known.id) else None
-    time = r.time.astype(float)
-    mean, spread = r.increments.mean, np.diagonal(r.increments.covariance, axis1=1, axis2=2)
-    pose = truth.pose if truth.pose is not None and truth.known_poses > 1 else None
-    mount = inverse(np.array([*sensor.translation, sensor.rotation]))
-    return Case(
-        time, mean, spread, np.array(r.prior.mean), pose, time, frame, time[frame], z, R, mount,
-        ids if ids is not None and len(ids) and (ids >= 0).any() else None,
-        None if known is None else known.id, None if known is None else known.xy,
-        cartesian=locates and sensor.units[1] == "m", stamped=not r.time_is_index,
-        kind=str(log.source.get(ODOMETRY_KIND, "velocities")), steps=_steps(log),
-    )  # fmt: skip
-
-
-def _steps(log: Log) -> Array | None:
-    """Samples of velocities in each increment (N,); of unknown ones, as many as there are shortest frame intervals."""
-    source = log.source
-    if source.get(ODOMETRY_KIND, "velocities") != "velocities" or source.get(INTEGRATION, ARCS) != ARCS:
-        return None
-    gap = np.diff(log.recorded.time, prepend=log.recorded.time[0])
-    usual = float(np.quantile(gap[1:], 0.1)) if len(gap) > 1 else 1.0
-    period = float(cast("float", source.get(ODOMETRY_PERIOD, usual)))
-    return np.maximum(np.round(gap / period), 1.0) if period > 0.0 else np.ones(len(gap))
-
-
-ARCS = "unicycle"  # the motion model of arcs
-
-
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """Which rows each witness compares, chosen once for a log."""
-
-    spans: tuple[tuple[IntArray, IntArray], ...]  # frames
-    pairs: tuple[IntArray, IntArray]  # observations of one landmark
-    near: tuple[IntArray, IntArray, IntArray]  # observations of two frames, and the first of those of one of the former
-    some: IntArray  # observations
-    together: tuple[IntArray, IntArray]  # observations in groups, and the first of each group
-    soon: IntArray  # observations at the start
-
-
-SPANS = (1.0, 4.0)  # s, over which two paths are compared: shorter than what odometry drifts, longer than its noise
-LAGS = (1.0, 8.0)  # s between two observations of one landmark
-SOON = 60  # Observations that are compared with the map from the prior
-
-
-def samples(c: Case) -> Samples:
-    """Rows of a case, evenly over the log."""
-    n, m = len(c.time), len(c.z)
-    step = float(np.median(np.diff(c.time))) if n > 1 else 1.0
-    spans = []
-    for span in SPANS:
-        k = max(round(span / max(step, 1e-12)), 1) if span / max(step, 1e-12) < 1e6 else 1
-        first = _evenly(np.arange(max(n - k, 0)), MOST)
-        spans.append((first, first + k))
-    return Samples(
-        tuple(spans), _same_id(c), _near(c), _evenly(np.arange(m), MOST), _together(c), np.arange(min(SOON, m))
-    )
-
-
-def _evenly(rows: IntArray, most: int) -> IntArray:
-    return rows if len(rows) <= most else rows[np.unique(np.linspace(0, len(rows) - 1, most).astype(int))]
-
-
-def _same_id(c: Case) -> tuple[IntArray, IntArray]:
-    """Pairs of observations with one id, the second the first of those that are at least a lag later."""
-    none = np.zeros(0, np.int64)
-    if c.id is None:
-        return none, none
-    by = np.lexsort((np.arange(len(c.id)), c.id))
-    by = by[c.id[by] >= 0]
-    step = float(np.median(np.diff(c.time))) if len(c.time) > 1 else 1.0
-    lag = max(LAGS[0], 2.0 * step)
-    span = float(c.time[-1] - c.time[0]) + 10.0 * lag
-    # stamps of all ids on one line, each id behind the one before
-    line = c.id[by] * span + (c.at[by] - c.time[0])
-    later = np.searchsorted(line, line + lag - 1e-9)
-    fine = np.flatnonzero(later < len(by))
-    fine = fine[line[later[fine]] - line[fine] <= max(LAGS[1], 8.0 * step)]
-    fine = _evenly(fine[np.argsort(c.at[by[fine]], kind="stable")], 2 * MOST)
-    return by[fine].astype(np.int64), by[later[fine]].astype(np.int64)
-
-
-PAIRS = 80  # Pairs of frames whose observations are compared without ids
-MANY = 20_000  # Most pairs of observations of them
-
-
-def _near(c: Case) -> tuple[IntArray, IntArray, IntArray]:
-    """All pairs of observations of frames a lag apart, by the first, and where those of each first begin."""
-    none = np.zeros(0, np.int64)
-    frames, start = np.unique(c.frame, return_index=True)
-    if len(frames) < 2:
-        return none, none, none
-    stop = np.append(start[1:], len(c.frame))
-    step = float(np.median(np.diff(c.time[frames])))
-    later = np.searchsorted(c.time[frames], c.time[frames] + max(LAGS[0], step) - 1e-9)
-    fine = _evenly(np.flatnonzero(later < len(frames)), PAIRS)
-    first, second, total = [], [], 0
-    for i in fine.tolist():
-        j = int(later[i])
-        a, b = np.arange(start[i], stop[i]), np.arange(start[j], stop[j])
-        total += len(a) * len(b)
-        if c.time[frames[j]] - c.time[frames[i]] > max(LAGS[1], 8.0 * step) or total > MANY:
-            continue
-        first.append(np.repeat(a, len(b)))
-        second.append(np.tile(b, len(a)))
-    if not first:
-        return none, none, none
-    a = np.concatenate(first)
-    return a, np.concatenate(second), np.flatnonzero(np.append(True, a[1:] != a[:-1]))
-
-
-GROUP, GROUPS, WINDOW = 4, 60, 5.0  # Landmarks of a group that is laid onto the map; most groups; s of odometry in one
-
-
-def _together(c: Case) -> tuple[IntArray, IntArray]:
-    """Observations in groups of a short time, each with several landmarks."""
-    rows, first = list[int](), list[int]()
-    if c.id is None or c.names is None:
-        return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    ids, at = c.id.tolist(), c.at.tolist()
-    i, groups = 0, list[list[int]]()
-    while i < len(ids):
-        own, seen, j = list[int](), set[int](), i
-        while j < len(ids) and at[j] - at[i] <= WINDOW and (len(seen) < GROUP or at[j] == at[j - 1]):
-            if ids[j] >= 0:
-                own.append(j)
-                seen.add(ids[j])
-            j += 1
-        if len(seen) >= GROUP:
-            groups.append(own)
-        i = max(j, i + 1)
-    for k in _evenly(np.arange(len(groups)), GROUPS).tolist():
-        first.append(len(rows))
-        rows += groups[k]
-    return np.array(rows, np.int64), np.array(first, np.int64)
-
-
-def truth_and_odometry(c: Case, s: Samples) -> list[Fit | None]:
-    """Motions and turns of the true path and of the odometry, over spans."""
-    if c.truth is None or not c.u.any():
-        return []
-    found: list[Fit | None] = []
-    true = c.truth
-    if c.truth_time is not c.time:
-        moved = _poses_at(c.time, c.truth_time, c.truth)
-        if moved is None:
-            return []
-        true = np.where(moved[1][:, None], moved[0], np.nan)
-    total = np.cumsum(c.spread, axis=0)
-    for i, j in s.spans:
-        a, b = between(true[i], true[j]), between(c.odometry[i], c.odometry[j])
-        fine = np.isfinite(a).all(axis=1)
-        a, b, variance = a[fine], b[fine], (total[j] - total[i])[fine]
-        size, turn = 0.5 * (np.hypot(*a[:, :2].T) + np.hypot(*b[:, :2].T)), 0.5 * (np.abs(a[:, 2]) + np.abs(b[:, 2]))
-        of_motion = variance[:, 0] + variance[:, 1] + variance[:, 2] * size**2 / 3.0
-        turned = np.asarray(wrap_angle(a[:, 2:] - b[:, 2:]))
-        for off, large, noise in (((a - b)[:, :2], size, of_motion), (turned, turn, 2.0 * variance[:, 2])):
-            rows = large > np.quantile(large, 0.3) if len(large) else np.zeros(0, bool)
-            found.append(_fit(off[rows], large[rows], noise[rows]))
-    return found
-
-
-def observations_and_map(c: Case, s: Samples) -> list[Fit | None]:
-    """How groups of observations lie on the map, wherever the robot is; and from the prior on."""
-    if c.places is None or c.along is None:
-        return []
-    rows, first = s.together
-    # a wrong prior is no contradiction: from it only a map that nothing else reads is judged
-    found = [] if c.truth is not None or c.id is not None else [_placed(c, s.soon, c.along, drift=True)]
-    if c.id is None or c.names is None or not len(first):
-        return found
-    place = _place_of(c, c.id[rows])
-    pose, inside = c.along
-    group = np.repeat(np.arange(len(first)), np.diff(np.append(first, len(rows))))
-    known = np.isfinite(place).all(axis=1) & inside[rows]
-    rows, place, group = rows[known], place[known], group[known]
-    if len(rows) < FEWEST:
-        return found
-    group = np.unique(group, return_inverse=True)[1]
-    begin = np.flatnonzero(np.append(True, group[1:] != group[:-1]))
-    local = transform_points(between(pose[rows[begin]][group], pose[rows]), c.points(rows, pose[rows, 2]))
-    count = np.diff(np.append(begin, len(rows)))[:, None]
-    x, y = (p - (np.add.reduceat(p, begin) / count)[group] for p in (local, place))
-    turn = np.arctan2(
-        *(np.add.reduceat(v, begin) for v in (x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0], np.sum(x * y, axis=1)))
-    )
-    size = 0.5 * (np.hypot(*x.T) + np.hypot(*y.T))
-    return [*found, _fit(_turned(turn[group], x) - y, size, _of_noise(c, rows))]
-
-
-BY_TRUTH = "truth and odometry"
-WITNESSES: Mapping[str, Callable[[Case, Samples], list[Fit | None]]] = {
-    BY_TRUTH: truth_and_odometry,
-    # how observed landmarks move in the body frame as the odometry moves, or the true path; where they are by the map
-    "observations and odometry": lambda c, s: (
-        [_moved(c, s, c.along, c.spread)] if c.u.any() and c.along is not None else []
-    ),
-    "observations and truth": lambda c, s: (
-        [] if c.seen_from is None else [_moved(c, s, c.seen_from, 0.0 * c.spread), _placed(c, s.some, c.seen_from)]
-    ),
-    "observations and map": observations_and_map,
-}
-
-
-def _of_noise(c: Case, rows: IntArray) -> Array:
-    """Variances (n,) of observed points by the sensor's noise."""
-    return np.asarray(c.R[rows, 0] + c.z[rows, 0] ** 2 * c.R[rows, 1])
-
-
-def _place_of(c: Case, ids: IntArray) -> Array:
-    """Places (n, 2) of ids by the map, NaN where it has none."""
-    assert c.names is not None
-    assert c.places is not None  # names and places are of one map
-    row = np.clip(np.searchsorted(c.names, ids), 0, len(c.names) - 1)
-    return np.where((c.names[row] == ids)[:, None], c.places[row], np.nan)
-
-
-def _moved(c: Case, s: Samples, path: tuple[Array, BoolArray], spread: Array) -> Fit | None:
-    """Changes of observed points in the body frame against those that a path predicts; without ids of the nearest."""
-    found = _changes(c, s, path, spread)
-    return None if found is None else _fit(found[0], found[1], found[2][:, 0], HALF if _alone(c, s) else KEPT)
-
-
-def _alone(c: Case, s: Samples) -> bool:
-    """Whether too few observations have ids, so that the nearest are compared."""
-    return c.id is None or len(s.pairs[0]) < FEWEST
-
-
-def _changes(c: Case, s: Samples, path: tuple[Array, BoolArray], spread: Array) -> tuple[Array, ...] | None:
-    """The differences (n, 2) of the same, sizes (n,), variances (n, 2), and what a displaced sensor adds (n, 2, 2)."""
-    alone, first = _alone(c, s), s.near[2]
-    a, b = s.near[:2] if alone else s.pairs
-    if len(a) < FEWEST:
-        return None
-    pose, inside = path
-    rows = np.unique(np.concatenate([a, b]))
-    at = np.full(len(c.z), -1)
-    at[rows] = np.arange(len(rows))
-    points = c.points(rows, pose[rows, 2])
-    p, q = points[at[a]], points[at[b]]
-    motion = between(pose[a], pose[b])
-    predicted = transform_points(inverse(motion), p)
-    off = q - predicted
-    size = 0.5 * (np.hypot(*(q - p).T) + np.hypot(*(predicted - p).T))
-    total = np.cumsum(spread, axis=0)
-    grown = total[c.frame[b]] - total[c.frame[a]]
-    variance = _of_noise(c, a) + _of_noise(c, b) + grown[:, 0] + grown[:, 1] + grown[:, 2] * np.sum(q**2, axis=1)
-    if c.world:  # what is seen is turned by headings that have drifted since the start
-        variance = variance + total[c.frame[a], 2] * np.sum((q - p) ** 2, axis=1)
-    kept = np.flatnonzero(inside[a] & inside[b])
-    if alone:
-        d = np.where(inside[a] & inside[b], np.hypot(*off.T), np.inf)
-        # the nearest of several is nearer than the same one: what is predicted without noise is compared with chance
-        count = np.diff(np.append(first, len(a)))
-        # by chance: how far apart they lie, over their number
-        size = np.repeat(np.sqrt(np.add.reduceat(np.sum(q**2, axis=1), first)) / count, count)
-        near = np.lexsort((d, np.cumsum(np.isin(np.arange(len(a)), first))))[first]
-        kept = near[np.isfinite(d[near])]
-    aside = se2.worlds_from_bodies(-motion[kept, 2])[:, :2, :2] - np.eye(2)
-    return off[kept], size[kept], np.column_stack([variance, variance])[kept], aside
-
-
-def _placed(c: Case, rows: IntArray, path: tuple[Array, BoolArray], *, drift: bool = False) -> Fit | None:
-    """Vectors from the robot to landmarks as observed, against those to their places on the map, or to the nearest."""
-    if c.places is None or c.names is None or not len(rows):
-        return None
-    pose, inside = path
-    if c.id is not None:
-        rows = rows[c.id[rows] >= 0]
-    rows = rows[inside[rows]]
-    if len(rows) < FEWEST:
-        return None
-    from_robot = _turned(pose[rows, 2], c.points(rows, pose[rows, 2]))
-    variance = _of_noise(c, rows)
-    if drift:
-        total = np.cumsum(c.spread, axis=0)[c.frame[rows]]
-        variance = variance + total[:, 0] + total[:, 1] + total[:, 2] * np.sum(pose[rows, :2] ** 2, axis=1)
-    if c.id is not None:
-        expected = _place_of(c, c.id[rows]) - pose[rows, :2]
-        fine = np.isfinite(expected).all(axis=1)
-        size = 0.5 * (np.hypot(*from_robot.T) + np.hypot(*expected.T))
-        return _fit((from_robot - expected)[fine], size[fine], variance[fine])
-    points = pose[rows, :2] + from_robot
-    nearest = np.asarray(scipy.spatial.cKDTree(c.places).query(points)[0])
-    # of a map that is far larger than what is seen, one landmark is the nearest of all points
-    extent = min(np.mean(np.var(p, axis=0)) for p in (c.places, points))
-    spread = math.sqrt(extent / len(c.places)) if len(c.places) > 1 else 1.0
-    return _fit(nearest[:, None], np.full(len(rows), spread), variance)
-
-
-def _turned(heading: Array, p: Array) -> Array:
-    c, s = np.cos(heading), np.sin(heading)
-    return np.stack([c * p[:, 0] - s * p[:, 1], s * p[:, 0] + c * p[:, 1]], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -486,16 +62,17 @@ PARTS = {
     **dict.fromkeys(("x and y of the truth", "truth's mirror"), TRUTH),
 }
 HEARD = {
-    ODOMETRY: (BY_TRUTH, "observations and odometry", "observations and map"),
+    ODOMETRY: (witnesses.BY_TRUTH, "observations and odometry", "observations and map"),
     OBSERVATIONS: ("observations and odometry", "observations and truth", "observations and map"),
     MAP: ("observations and truth", "observations and map"),
-    TRUTH: (BY_TRUTH, "observations and truth"),
+    TRUTH: (witnesses.BY_TRUTH, "observations and truth"),
 }
 """Witnesses that speak of a part."""
 METRES = {unit: metres for unit, metres in LENGTH.items() if unit != "m"}
 SPEEDS = {"mm/s": 1e-3, "cm/s": 1e-2, "ft/s": 0.3048, "km/h": 1.0 / 3.6, "mph": 0.44704, "kn": 1852.0 / 3600.0}
 DEG = math.pi / 180.0
 TURNING = {"deg/s": DEG, "mrad/s": 1e-3, "rpm": math.pi / 30.0}
+SIZES = SPEEDS | METRES | TURNING | {"min": 60.0}
 BEARINGS = {"deg": DEG, "-deg": -DEG, "mrad": 1e-3}
 ABOUT, MIRROR = np.array([0.0, 0.0, 1.0]), np.diag([1.0, -1.0, -1.0])
 
@@ -600,10 +177,10 @@ def _mount(c: Case, s: Samples) -> Reading | None:
     pose, inside = path
     if c.names is not None and c.seen_from is not None:
         rows = s.some[inside[s.some]]
-        off = transform_points(inverse(pose[rows]), _place_of(c, c.id[rows])) - c.points(rows, pose[rows, 2])
+        off = transform_points(inverse(pose[rows]), witnesses.place_of(c, c.id[rows])) - c.points(rows, pose[rows, 2])
         off = off[np.isfinite(off).all(axis=1)]
         by = np.broadcast_to(np.eye(2), (len(off), 2, 2))
-    elif (found := _changes(c, s, path, c.spread)) is not None:
+    elif (found := changes(c, s, path, c.spread)) is not None:
         off, by = found[0], found[3]
     else:
         return None
@@ -634,7 +211,7 @@ def _solved(A: Array, off: Array) -> Array:
     """The place (3,) that explains differences (n, 2) by A (n, 2, 2) best, without the largest that are left."""
     found, left = np.zeros(2), np.zeros(len(off))
     for _ in range(ROBUST if len(off) >= FEWEST else 0):
-        near = left <= np.quantile(left, KEPT[0])
+        near = left <= np.quantile(left, witnesses.KEPT[0])
         found[:] = np.linalg.lstsq(A[near].reshape(-1, 2), off[near].ravel())[0]
         left = np.hypot(*(A @ found - off).T)
     return np.array([*found, 0.0])
@@ -645,12 +222,12 @@ def _frame(c: Case, rows: IntArray) -> Array | None:
     if c.seen_from is None or c.id is None:
         return None
     pose, inside = c.seen_from
-    place = _place_of(c, c.id[rows])
+    place = witnesses.place_of(c, c.id[rows])
     fine = inside[rows] & np.isfinite(place).all(axis=1)
     if fine.sum() < FEWEST:
         return None
     rows = rows[fine]
-    points = pose[rows, :2] + _turned(pose[rows, 2], c.points(rows, pose[rows, 2]))
+    points = pose[rows, :2] + witnesses.rotated(pose[rows, 2], c.points(rows, pose[rows, 2]))
     return rigid_fit(points, place[fine])
 
 
@@ -667,9 +244,7 @@ READINGS: tuple[Reading, ...] = (
     Reading(SIDE, "bearing", _seen(1.0, -1.0)),
     Reading(SIDE, "bearing and omega", lambda c: _turning(-1.0)(_seen(1.0, -1.0)(c))),
     Reading(EXCHANGED, "range and bearing", _swapped),
-    Reading(
-        EXCHANGED, "range and bearing", lambda c: _seen(1.0, DEG)(replace(c, z=c.z[:, ::-1], R=c.R[:, ::-1])), "deg"
-    ),
+    Reading(EXCHANGED, "range and bearing", lambda c: _seen(1.0, DEG)(_swapped(c)), "deg"),
     Reading(WORLD, "bearing", lambda c: replace(c, world=True)),
     Reading(WORLD, "places", _from_places),
     Reading(UNIT, "stamps of observations", lambda c: replace(c, at=60.0 * c.at), "min"),
@@ -688,7 +263,6 @@ READINGS: tuple[Reading, ...] = (
     Reading(EXCHANGED, "x and y of the truth", _truly(lambda p: p[:, [1, 0, 2]])),
 )
 
-AGREES = 1.5  # Two parts agree if they differ by at most this multiple of the stated noise
 LEFT = 2.0  # Above this multiple of the stated noise parts contradict each other under a reading, too: pairs are tried
 CLEAR = 20.0  # Least gain of a reading in log-likelihood
 SLIGHT = 0.05  # Least difference that a reading without a number, or of turns, explains: it changes all of them
@@ -709,7 +283,7 @@ class Explained:
     stated: float
     fits: float
     left: bool  # whether parts still contradict each other
-    poor: float = 0.4  # largest difference that it may leave
+    poor: float = POOR  # largest difference that it may leave
 
 
 def _told(
@@ -736,7 +310,7 @@ class Examination:
     def judged(self, r: Reading) -> Explained:
         """What a reading gains."""
         c, gain, sharp, witness, best = r.change(self.case), 0.0, 0.0, "", (1.0, 1.0, 0.0, 0.0)
-        left, alone, worst = False, _alone(self.case, self.samples), 0.0
+        left, alone, worst = False, by_nearest(self.case, self.samples), 0.0
         for name, fits in self.said.items():
             if name == "observations and map" and self.case.id is None and r.part != MAP:
                 continue
@@ -746,9 +320,10 @@ class Examination:
                 if f is None or g is None:
                     continue
                 more = f.cost - g.cost if not f.agrees else min(f.cost - g.cost, 0.0)
-                if self.before and f.noise < LOUDEST:  # a second reading gains nothing by making all motions larger
+                if self.before and f.noise < witnesses.LOUDEST:  # a second one gains nothing by larger motions
                     more = min(
-                        more, min(f.count, WEIGHT) * math.log((f.off * g.noise + TINY) / (f.noise * g.off + TINY))
+                        more,
+                        min(f.count, WEIGHT) * math.log((f.off * g.noise + TINY) / (f.noise * g.off + TINY)),
                     )
                 gain += more
                 sharp += min(f.count, g.count, WEIGHT) * math.log((f.off + EXACT) / (g.off + EXACT))
@@ -899,7 +474,8 @@ def _by_size(x: Examination) -> list[Explained]:
         if tiny:
             return _told(UNIT, "everything", SIZE, speed, METRES["km"] * speed, "km", over)
         if speed > SPEED or over > SMALL_NOISE:
-            units = ["mm", "cm"] if (over if over > SMALL_NOISE else 2.0 * speed) > CENTIMETRES else ["cm", "mm"]
+            large = over > CENTIMETRES if over > SMALL_NOISE else speed > CRAWL
+            units = ["mm", "cm"] if large else ["cm", "mm"]
             if over > SMALL_NOISE:  # errors of an inch are 39 times as large
                 units.insert(0 if over < INCHES else 2, "in")
             told = [_told(UNIT, "everything", SIZE, speed, METRES[u] * speed, u, over)[0] for u in units]
@@ -974,11 +550,13 @@ def _strange(x: Examination) -> list[Explained]:
         return []
     if c.names is not None and (strange := float(np.mean(~np.isin(c.id[c.id >= 0], c.names)))) > 0.5:
         for by in c.names[[0, -1]] - [c.id[c.id >= 0].min(), c.id.max()]:
-            if any(f is not None and f.off < NEAR for f in observations_and_map(_shifted(int(by))(c), x.samples)):
+            if any(
+                f is not None and f.off < NEAR for f in witnesses.observations_and_map(_shifted(int(by))(c), x.samples)
+            ):
                 return _told(SHIFTED, "ids", NAMES, strange, number=float(by), gain=0.0)
         return _told(STRANGE, "ids of the map", NAMES, strange, gain=0.0)
     bare = replace(c, id=None)
-    plain = Examination(bare, samples(bare))
+    plain = Examination(bare, witnesses.samples(bare))
     moves, true, mapped = "observations and odometry", "observations and truth", "observations and map"
     # of the map alone its ids are judged by those that agree as the robot moves
     for of, name, k, others in (
@@ -1011,7 +589,7 @@ def _headings(x: Examination, *, explained: bool) -> list[Explained]:
     """True headings that never change, though the odometry turns; or, if nothing is `explained`, change otherwise,
     though the robot moves as far as the odometry says.
     """
-    c, witness = x.case, BY_TRUTH
+    c, witness = x.case, witnesses.BY_TRUTH
     if c.truth is None or np.ptp(c.odometry[:, 2]) < 1.0 or len(fits := x.said[witness]) < 2 or fits[1] is None:
         return []
     heading = c.truth[np.isfinite(c.truth).all(axis=1), 2]
@@ -1020,7 +598,7 @@ def _headings(x: Examination, *, explained: bool) -> list[Explained]:
     i, j = x.samples.spans[0]
     a, b = (np.hypot(*(p[j, :2] - p[i, :2]).T) for p in (c.truth, c.odometry))
     known = np.isfinite(a)
-    way = _fit((a - b)[known, None], 0.5 * (a + b)[known], 0.0 * a[known])
+    way = witnesses.fit_of((a - b)[known, None], 0.5 * (a + b)[known], 0.0 * a[known])
     # on straight ways the turns of the odometry are noise, which no true heading has
     told = LEFT * fits[1].noise < ALIEN < fits[1].off
     if explained or way is None or way.off > NEAR or not told:
@@ -1042,7 +620,7 @@ def paths_otherwise(
         u = np.vstack([np.zeros(3), between(other[:-1], other[1:])])
         nothing = np.zeros((0, 2))
         c = Case(time, u, 0.0 * u, other[0], own, time, none, time[:0], nothing, nothing, np.zeros(3), None, None, None)
-        x = Examination(c, samples(c))
+        x = Examination(c, witnesses.samples(c))
         if all(f is None or f.off <= SLIGHT for fits in x.said.values() for f in fits):
             return None
         # where the paths lie on each other but for a turn, only headings are wrong
@@ -1088,14 +666,14 @@ def _order(x: Examination) -> list[Explained]:
     # turns that are noise move what is seen next, whatever the order
     turn, found = np.where(c.u[:, 2] ** 2 > SURE**2 * c.spread[:, 2], c.u[:, 2] / c.steps, 0.0), list[Explained]()
     others = {
-        name: replace(c, u=np.column_stack([_turned(share * turn, c.u[:, :2]), c.u[:, 2]]))
+        name: replace(c, u=np.column_stack([witnesses.rotated(share * turn, c.u[:, :2]), c.u[:, 2]]))
         for name, share in ORDERS.items()
     }
     rows: list[tuple[str, Callable[[Case], tuple[Array, ...] | None], float]] = []
     if c.truth is not None:
-        rows = [(BY_TRUTH, lambda c, k=k: _motions(c, k), CLEAR) for k in FRAMES]  # type: ignore[misc]
+        rows = [(witnesses.BY_TRUTH, lambda c, k=k: _motions(c, k), CLEAR) for k in FRAMES]  # type: ignore[misc]
     if not any((said := of(c)) is not None and len(said[0]) >= SOME for _, of, _ in rows):
-        rows = [("observations and odometry", lambda c: c.along and _changes(c, s, c.along, c.spread), UNSEEN)]
+        rows = [("observations and odometry", lambda c: c.along and changes(c, s, c.along, c.spread), UNSEEN)]
     for witness, of, clear in rows:
         as_stated = of(c)
         for name, other in others.items():
@@ -1150,7 +728,7 @@ TINY, SURE = 1e-6, 3.0  # m, least standard deviation of a motion; sigmas from w
 
 def explanations(c: Case) -> list[Explained]:
     """The readings that explain most what does not fit, equal ones together; none of a sound log."""
-    s = samples(c)
+    s = witnesses.samples(c)
     x = Examination(c, s)
     if (twice := _doubled(x)) or x.sound:
         return twice or _by_size(x) or (_strange(x) if c.names is not None else []) or _order(x)
@@ -1184,28 +762,32 @@ def explanations(c: Case) -> list[Explained]:
     if not found:  # the largest contradiction
         each = [(f.off, n) for n, fits in x.said.items() for f in fits if f is not None and f.off > LEFT**2 * f.noise]
         worst, name = max(each, default=(0.0, ""))
-        return _told(UNKNOWN, ODOMETRY, name, worst, worst) if worst > ALIEN and not _alone(c, s) else []
+        return _told(UNKNOWN, ODOMETRY, name, worst, worst) if worst > ALIEN and not by_nearest(c, s) else []
     best = max(found, key=lambda e: e.gain)
-    equal = [
-        e for e in found if e.gain >= best.gain - max(2.0, CLOSE * best.gain) and len(e.readings) == len(best.readings)
-    ]
+    equal = [e for e in found if _as_well(e, best) and len(e.readings) == len(best.readings)]
     scales = [e.readings[-1] for e in equal if e.readings[-1].kind == SCALE]
     # a number near that of a unit is that unit's
-    plain = list({(r.kind, r.of): e for e in equal if (r := e.readings[-1]).kind != SCALE}.values())
-    sizes = SPEEDS | METRES | TURNING | {"min": 60.0}
+    plain = list({(r.kind, r.of, r.unit): e for e in equal if (r := e.readings[-1]).kind != SCALE}.values())
     for e in (e for e in singles if e not in plain and e.readings[-1].kind == UNIT):
-        of, size = e.readings[-1].of, sizes.get(e.readings[-1].unit, math.inf)
+        of, size = e.readings[-1].of, SIZES.get(e.readings[-1].unit, math.inf)
         # of two parts alone a large number is known less well; units are ten times another
         off = [(abs(math.log(s.number * size)), 0.16 * abs(math.log(s.number))) for s in scales if of in s.of]
         plain += [e] * any(d < max(0.5 * LARGER, most) for d, most in off)
-    most = max((e.gain for e in plain), default=0.0)
-    plain = [e for e in plain if e.gain >= most - max(2.0, CLOSE * most)]
+    plain = [e for e in plain if _as_well(e, max(plain, key=lambda e: e.gain))]
     result = sorted(plain or equal, key=lambda e: -e.gain)
     if c.truth is None and c.id is not None:  # the prior decides
         read = [reduce(lambda case, r: r.change(case), e.readings, c) for e in result]
-        fits = [None if y.along is None else _placed(y, s.soon, y.along, drift=True) for y in read]
+        fits = [None if y.along is None else witnesses.placed_at(y, s.soon, y.along, drift=True) for y in read]
         result = [e for e, f in zip(result, fits, strict=True) if f is not None and f.off <= POOR] or result
     return result
+
+
+def _as_well(e: Explained, best: Explained) -> bool:
+    """Whether a reading explains as much as the best, or has a unit that is too near to be told from its."""
+    r, q = e.readings[-1], best.readings[-1]
+    ratio = SIZES.get(r.unit, math.inf) / SIZES.get(q.unit, 1.0)
+    near = r.of == q.of and abs(math.log(ratio)) < LEFT * best.fits
+    return near or e.gain >= best.gain - max(2.0, CLOSE * best.gain)
 
 
 def contradictions(log: Log) -> list[Notice]:

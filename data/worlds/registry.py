@@ -18,6 +18,7 @@ from dataclasses import Field, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from data.command import count
 from data.errors import UsageError, did_you_mean
 from data.wing import World, wings
 
@@ -201,17 +202,10 @@ def degrees(text: str) -> float:
     return math.radians(number(text))
 
 
-def seed(text: str) -> int:
-    """A flag's seed."""
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 up")
-    return int(text)
-
-
 def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
     """OUT, `--seed`, and a flag for every parameter with its docstring's text; fields in degrees stay in degrees."""
     sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
-    sub.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of every random number (default: 0)")
+    sub.add_argument("--seed", type=count, default=0, metavar="N", help="seed of every random number (default: 0)")
     parameters = parameters_of(simulator)
     names = [f.name for f in fields(parameters)]
     described: dict[str, str] = {}

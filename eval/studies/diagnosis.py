@@ -15,7 +15,8 @@ from data.log import Log
 from data.motion.systematic import corrected_inputs
 from data.notice import Code, Notice, notice
 from data.questions.asked import conventions
-from data.questions.examination import BY_TRUTH, ORDER
+from data.questions.examination import ORDER
+from data.questions.witnesses import BY_TRUTH
 from data.result import Run
 from data.se2 import Array, BoolArray
 from ekf.whole_run import run_filter

@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from data.command import Command
+from data.command import Command, count
 from data.terminal import ended
 from eval.plan.flags import texts_of
 
@@ -28,16 +28,10 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     kept = "what becomes of them in FILE: leave-out (default), or robust: kept, with the weight of Cauchy's loss"
     parser.add_argument("--rejected", choices=("leave-out", "robust"), default="leave-out", help=kept)
     text = "steps of the search for wrong factors, at most (default: 30; 0: only which are rejected, soon)"
-    parser.add_argument("--steps", metavar="N", type=_count, default=30, help=text)
-    parser.add_argument("--draws", metavar="N", type=_count, default=200, help="draws of the graph (default: 200)")
-    parser.add_argument("--seed", metavar="S", type=_count, default=0, help="random seed (default: 0)")
+    parser.add_argument("--steps", metavar="N", type=count, default=30, help=text)
+    parser.add_argument("--draws", metavar="N", type=count, default=200, help="draws of the graph (default: 200)")
+    parser.add_argument("--seed", metavar="S", type=count, default=0, help="random seed (default: 0)")
     return ended(lambda: _audit(parser.read(argv), prog))
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r}: a whole number from 0 up is needed")
-    return int(text)
 
 
 SOON = 5.0  # s, until which no stage is told

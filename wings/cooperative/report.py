@@ -37,7 +37,8 @@ def team_sections(
     """A section for each team and task; `tables/team-NAME.csv` has its table."""
     found = dict[tuple[int, str], list[Trial]]()
     for t in trials:
-        if (team := _team(t.log)) is not None:
+        given = t.log.recorded
+        if isinstance(given, TeamInputs) and (team := given.team) is not None:
             found.setdefault((id(team), t.task), []).append(t)
     sections = []
     for (_, task), own in found.items():
@@ -53,10 +54,6 @@ def team_sections(
             )
         sections.append(Section(f"Team: {name}, {task}", tuple(blocks), facts=rows))
     return sections
-
-
-def _team(log: Log) -> Team | None:
-    return log.recorded.team if isinstance(log.recorded, TeamInputs) else None
 
 
 def rows_of(log: Log, run: Run) -> list[dict[str, object]]:

@@ -14,10 +14,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from data.command import Parser
+from data.command import Parser, count
 from data.errors import UsageError
 from data.terminal import ended
-from data.worlds.registry import seed
 
 if TYPE_CHECKING:
     from wings.robot.link import Clock
@@ -118,7 +117,7 @@ def parser() -> argparse.ArgumentParser:
     text = "with a lidar: 360 beams up to 8 m, sigma 0.01 m, 1 %% without a return; frames at 115200 baud"
     top.add_argument("--lidar", action="store_true", help=text)
     text = "seed of slip, sonars, lidar and faults (default: 0)"
-    top.add_argument("--seed", type=seed, default=0, metavar="N", help=text)
+    top.add_argument("--seed", type=count, default=0, metavar="N", help=text)
     text = "CSV file for the true path: t,x,y,theta, 20 rows per second"
     top.add_argument("--truth", type=Path, metavar="FILE", help=text)
     return top
