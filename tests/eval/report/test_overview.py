@@ -178,7 +178,7 @@ def test_the_sentences_say_what_was_compared_and_how_much_better_where_both_got_
 
 
 @pytest.mark.parametrize(("rmse", "online", "note"), [
-    (0.4041, Online.EQUAL, "offline; online, ekf and isam2 differ by less than 2 %"),
+    (0.4041, Online.EQUAL, "offline; online, the RMSE of ekf and isam2 differs by less than 2 %"),
     (0.3, Online.OTHER, "online isam2 0.300 m"),
     (0.1, Online.FAR_BETTER, "online, too (isam2 0.100 m)"),
     (None, Online.UNKNOWN, "offline"),
