@@ -2,15 +2,19 @@
 
 A claim is a line of a page with `{result.name:format}` in place of numbers. `make docs` writes the stored numbers into
 the pages; `make docs ARGS='--measure arena,intel'` runs the commands of these results anew first, which takes minutes.
+`printed.toml` has commands whose printed lines stand on pages, and how these begin; `printed.json` has what they print.
 """
 
+import functools
 import json
 import re
 import tomllib
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).parents[2]
 CLAIMS, STORE = Path(__file__).with_name("claims.toml"), Path(__file__).with_name("measured.json")
+EXAMPLES, PRINTED = Path(__file__).with_name("printed.toml"), Path(__file__).with_name("printed.json")
 PLACE = re.compile(r"\{([\w.]+):([^}]+)\}")
 NUMBER = r"[−-]?\d[\d .]*(?: ?%)?"
 
@@ -46,12 +50,30 @@ def written(text: str, line: str, values: dict[str, dict[str, float]]) -> str:
     return text.replace(found[0], PLACE.sub(number, line))
 
 
+def examples() -> dict[str, dict[str, Any]]:
+    """Of each example its `command`, the `pages` that show it, and how the shown `lines` begin."""
+    return tomllib.loads(EXAMPLES.read_text(encoding="utf-8"))
+
+
+def shown_again(text: str, line: str, printed: str) -> str:
+    """A page with a printed line, from a beginning on. Raises ValueError unless page and print have it once."""
+    rest = re.compile(re.escape(line) + r"[^`\n]*")
+    old, new = rest.findall(text), rest.findall(printed)
+    if (len(old), len(new)) != (1, 1):
+        raise ValueError(f"{len(old)} and {len(new)} times, not once: {line}")
+    return text.replace(old[0], new[0].rstrip())
+
+
 def pages() -> dict[Path, str]:
     """Every page with claims, with the stored numbers in it. Raises ValueError, which names page and line."""
-    values, made = stored(), dict[Path, str]()
-    for page, line in claims():
+    values, made, said = stored(), dict[Path, str](), json.loads(PRINTED.read_text(encoding="utf-8"))
+    todo = [(page, functools.partial(written, line=line, values=values)) for page, line in claims()]
+    for name, example in examples().items():
+        changes = [functools.partial(shown_again, line=line, printed=said[name]) for line in example["lines"]]
+        todo += [(ROOT / page, change) for page in example["pages"] for change in changes]
+    for page, change in todo:
         try:
-            made[page] = written(made.get(page) or page.read_text(encoding="utf-8"), line, values)
+            made[page] = change(made.get(page) or page.read_text(encoding="utf-8"))
         except ValueError as fault:
             raise ValueError(f"{page.name}: {fault}") from fault
     return made
