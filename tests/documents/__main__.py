@@ -17,10 +17,10 @@ def main() -> None:
     parser.add_argument(
         "--measure",
         metavar="RESULTS",
-        help=f"measure anew, of {', '.join((*MEASURES, *measured.examples()))}, course, lessons by name, or all",
+        help=f"measure anew, of {', '.join((*MEASURES, *measured.EXAMPLES))}, course, lessons by name, or all",
     )
     if asked := parser.parse_args().measure:
-        names = asked.replace("all", ",".join([*MEASURES, *measured.examples(), "course"])).replace(
+        names = asked.replace("all", ",".join([*MEASURES, *measured.EXAMPLES, "course"])).replace(
             "course", ",".join(course.LESSONS)
         )
         course.measure(name for name in names.split(",") if name in course.LESSONS)

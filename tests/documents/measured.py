@@ -5,16 +5,14 @@ the pages; `make docs ARGS='--measure arena,intel'` runs the commands of these r
 `printed.toml` has commands whose printed lines stand on pages, and how these begin; `printed.json` has what they print.
 """
 
-import functools
 import json
 import re
 import tomllib
 from pathlib import Path
-from typing import Any
 
 ROOT = Path(__file__).parents[2]
-CLAIMS, STORE = Path(__file__).with_name("claims.toml"), Path(__file__).with_name("measured.json")
-EXAMPLES, PRINTED = Path(__file__).with_name("printed.toml"), Path(__file__).with_name("printed.json")
+STORE, PRINTED = (Path(__file__).with_name(f"{name}.json") for name in ("measured", "printed"))
+CLAIMS, EXAMPLES = (tomllib.loads(STORE.with_name(f"{name}.toml").read_text("utf-8")) for name in ("claims", "printed"))
 PLACE = re.compile(r"\{([\w.]+):([^}]+)\}")
 NUMBER = r"[−-]?\d[\d .]*(?: ?%)?"
 
@@ -22,12 +20,6 @@ NUMBER = r"[−-]?\d[\d .]*(?: ?%)?"
 def shown(value: float, layout: str) -> str:
     """A number as a page shows it: Python's layout, with a space before % and a true minus."""
     return format(value, layout).replace("%", " %").replace("-", "−")
-
-
-def claims() -> list[tuple[Path, str]]:
-    """Pages and the lines that claim numbers."""
-    found = tomllib.loads(CLAIMS.read_text(encoding="utf-8"))
-    return [(ROOT / page, line) for page, lines in found.items() for line in lines["lines"]]
 
 
 def stored() -> dict[str, dict[str, float]]:
@@ -50,11 +42,6 @@ def written(text: str, line: str, values: dict[str, dict[str, float]]) -> str:
     return text.replace(found[0], PLACE.sub(number, line))
 
 
-def examples() -> dict[str, dict[str, Any]]:
-    """Of each example its `command`, the `pages` that show it, and how the shown `lines` begin."""
-    return tomllib.loads(EXAMPLES.read_text(encoding="utf-8"))
-
-
 def shown_again(text: str, line: str, printed: str) -> str:
     """A page with a printed line, from a beginning on. Raises ValueError unless page and print have it once."""
     rest = re.compile(re.escape(line) + r"[^`\n]*")
@@ -67,13 +54,13 @@ def shown_again(text: str, line: str, printed: str) -> str:
 def pages() -> dict[Path, str]:
     """Every page with claims, with the stored numbers in it. Raises ValueError, which names page and line."""
     values, made, said = stored(), dict[Path, str](), json.loads(PRINTED.read_text(encoding="utf-8"))
-    todo = [(page, functools.partial(written, line=line, values=values)) for page, line in claims()]
-    for name, example in examples().items():
-        changes = [functools.partial(shown_again, line=line, printed=said[name]) for line in example["lines"]]
-        todo += [(ROOT / page, change) for page in example["pages"] for change in changes]
-    for page, change in todo:
+    todo = [(page, written, line, values) for page, of in CLAIMS.items() for line in of["lines"]]
+    for name, of in EXAMPLES.items():
+        todo += [(page, shown_again, line, said[name]) for page in of["pages"] for line in of["lines"]]
+    for page, change, line, of in todo:
+        page = ROOT / page
         try:
-            made[page] = change(made.get(page) or page.read_text(encoding="utf-8"))
+            made[page] = change(made.get(page) or page.read_text(encoding="utf-8"), line, of)
         except ValueError as fault:
             raise ValueError(f"{page.name}: {fault}") from fault
     return made

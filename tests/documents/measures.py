@@ -14,7 +14,7 @@ import pandas as pd
 
 import slamref
 from eval.referee.consistency import FIT
-from tests.documents.measured import PRINTED, ROOT, STORE, examples, stored
+from tests.documents.measured import EXAMPLES, PRINTED, ROOT, STORE, stored
 
 SHARED = ROOT.parent / "shared" / "data"
 WORK = ROOT / "build" / "measured"
@@ -93,14 +93,9 @@ def dataset9() -> Values:
 
 
 def intel() -> Values:
-    """The laser log of Intel Research Lab against its reference relations."""
+    """Intel Research Lab: errors over reference relations, all and the exact ones: mean, spread and heading [deg]."""
     out = slamref_run("intel", "run", str(SHARED / "intel" / "intel_raw_full.log.gz"), "--no-plots")
-    return of_relations(pd.read_csv(out / "relations.csv"))
-
-
-def of_relations(table: pd.DataFrame) -> Values:
-    """Errors over reference relations, all and the exact ones: mean, spread and heading [deg]."""
-    table, found = table[table.tie == "row"], {}
+    table, found = pd.read_csv(out / "relations.csv").query("tie == 'row'"), {}
     for name, estimator, phase in (("odometry", "dead-reckoning", "online"), ("ekf", "ekf", "online"),
                                    ("batch", "batch", "final")):  # fmt: skip
         rows = table[(table.estimator == estimator) & (table.phase == phase)].set_index("subset")
@@ -187,14 +182,9 @@ def printed(name: str) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     where = {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "ROOT": str(ROOT)}
-    done = subprocess.run(
-        ["bash", "-c", examples()[name]["command"]],
-        cwd=folder,
-        env=os.environ | where,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    said = json.loads(PRINTED.read_text(encoding="utf-8")) if PRINTED.exists() else {}
+    command = ["bash", "-c", EXAMPLES[name]["command"]]
+    done = subprocess.run(command, cwd=folder, env=os.environ | where, stdout=subprocess.PIPE, text=True)
+    said = json.loads(PRINTED.read_text(encoding="utf-8"))
     text = json.dumps(said | {name: done.stdout}, indent=1, sort_keys=True, ensure_ascii=False)
     PRINTED.write_text(text + "\n", encoding="utf-8")
 
@@ -207,7 +197,7 @@ MEASURES: dict[str, Callable[[], Values]] = {
 def measure(names: Iterable[str]) -> None:
     """Run these and store their numbers, to six digits."""
     for name in names:
-        if name in examples():
+        if name in EXAMPLES:
             printed(name)
             continue
         values = {key: float(f"{value:.6g}") for key, value in MEASURES[name]().items()}
