@@ -216,14 +216,17 @@ def test_two_files_in_two_planes_are_aligned_in_space(places, scored):
 def test_quaternions_with_w_first_and_degrees_in_both_files_are_asked_about(scored):
     rows = [(k, x, y, 0, math.cos(0.1 * k), 0, 0, math.sin(0.1 * k)) for k, (x, y) in enumerate(CURVE)]
     truth = [(k, x, y, 0, 0, 0, math.sin(0.1 * k), math.cos(0.1 * k)) for k, (x, y) in enumerate(CURVE)]
-    _, asked, _ = scored(lines(rows), lines(truth))
-    assert any("begin with w" in a for a in asked)
+    values, asked, said = scored(lines(rows), lines(truth))
+    assert values["rmse_rotation_3d_deg"] < 1e-6
+    assert not asked
+    assert "inferred: quaternions of" in said
     way = [(math.cos(0.05 * k), math.sin(0.05 * k)) for k in range(100)]
     h = [math.degrees(0.05 * k) + 90.0 for k in range(100)]
-    _, asked, _ = scored(headed(h, way), headed(h, way))
-    assert len(asked) == 2
-    _, asked, _ = scored(headed(h, way), headed(h, way), "--unit", "deg")
+    values, asked, said = scored(headed(h, way), headed([a + 1 for a in h], way))
+    assert values["rmse_heading_deg"] == pytest.approx(1.0)
     assert not asked
+    assert "inferred: headings are in degrees" in said
+    assert len(scored(headed(h, way), headed(h, way), "--unit", "rad")[1]) == 0
     # many turns in rad, which are not wrapped
     h = [0.05 * k * 10 for k in range(100)]
     way = [(math.cos(v), math.sin(v)) for v in h]
@@ -533,8 +536,9 @@ def test_quaternions_with_w_first_are_told_in_either_file(which, scored):
     right = np.column_stack([WAY[:, :3], 0 * half, 0 * half, 0 * half, np.sin(half), np.cos(half)])
     wrong = right[:, [0, 1, 2, 3, 7, 4, 5, 6]]
     files = [wrong if which in (name, "both") else right for name in ("estimate", "truth")]
-    _, asked, _ = scored(*(lines(rows) for rows in files))
-    assert len(asked) == (2 if which == "both" else 1)
+    values, asked, _ = scored(*(lines(rows) for rows in files))
+    assert len(asked) == {"estimate": 0, "truth": 1, "both": 2}[which]
+    assert which != "estimate" or values["rmse_rotation_3d_deg"] < 1e-6
     assert all("begin with w" in text for text in asked)
 
 

@@ -25,6 +25,7 @@ from data.formats.messages import file_and_word, kinds_of, numbered_rows, whole_
 from data.formats.results.reading import role_of, words_of
 from data.inputs import IntArray
 from data.notice import Notice
+from data.questions.examination import heading_unit, in_degrees
 from data.se2 import Array, BoolArray
 from data.terminal import counted
 
@@ -213,6 +214,7 @@ def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
     for is the label. Blank, infinite and negative ranges are no observation. DataError where no column matches.
     """
     found: dict[str, dict[str, int]] = {}
+    own = not {"label", "true_id"} & set(patterns)
     for quantity, pattern in patterns.items():
         match = re.compile(re.escape(pattern).replace(r"\*", "(.*)")).fullmatch
         for j, name in enumerate(file.names):
@@ -228,12 +230,28 @@ def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
     for row, number in zip(file.rows, file.line.tolist(), strict=True):
         for k, (star, of) in enumerate(labels.items()):
             values = {q: row[j] for q, j in of.items()}
-            numbers = {q: float(v) if is_number(v) else math.nan for q, v in values.items()}
+            numbers = {q: float(v) if is_number(v) else math.nan for q, v in values.items() if q in STARRED}
             if all(map(math.isfinite, numbers.values())) and numbers.get("range", 0.0) >= 0.0:
-                rows.append((*(row[j] for j in rest), *values.values(), star if whole else str(k)))
+                rows.append((*(row[j] for j in rest), *values.values(), *([star if whole else str(k)] * own)))
                 line.append(number)
-    names = (*(file.names[j] for j in rest), *patterns, "label")
+    names = (*(file.names[j] for j in rest), *patterns, *["label"] * own)
     return replace(file, names=names, rows=tuple(rows), line=np.array(line, np.int64), named=True)
+
+
+STARRED, IDS = ("range", "bearing", "x", "y"), ("label", "true_id")
+"""Quantities of observations that may have a column for each landmark, or for each of several in a row, with ids."""
+
+
+def stars(file: TextTable) -> dict[str, str]:
+    """Names with a star by quantity, of a file whose columns are ranges and bearings of several landmarks each."""
+    found: dict[str, str] = {}
+    for name in file.names if file.named else ():
+        if (matched := re.fullmatch(r"(.*?)(_?)\d+", name)) is not None:
+            word = "".join(words_of(matched[1])[0])
+            usual = {q: (q.replace("_", ""), *ALSO.get(q, ())) for q in ("range", "bearing", *IDS)}
+            usual["label"] += ("id",)
+            found |= {q: f"{matched[1]}{matched[2]}*" for q, named in usual.items() if word in named}
+    return found if {"range", "bearing"} <= set(found) and not {"range", "bearing"} & set(file.names) else {}
 
 
 ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}
@@ -246,7 +264,8 @@ STAMPS = ("t", "t1", "t2")
 INSTANTS = {*STAMPS, "frame", "frame1"}
 QUANTITIES = {
     **dict.fromkeys(STAMPS, "time"), **dict.fromkeys(("x", "y", "dx", "dy", "range", "sx", "sy"), "length"),
-    **dict.fromkeys(("theta", "dtheta", "bearing", "stheta"), "angle"), "v": "length/time", "omega": "angle/time",
+    **dict.fromkeys(("theta", "dtheta", "bearing", "stheta", "steering"), "angle"),
+    "v": "length/time", "omega": "angle/time",
     **dict.fromkeys(("left", "right", "frame", "id", "true_id", "label", "qx", "qy", "qz", "qw"), ""),
     **dict.fromkeys(("frame1", "frame2", "source", "descriptor", "class", "kind", "lat", "lon"), ""),
 }  # fmt: skip
@@ -327,7 +346,9 @@ MORE: dict[str, tuple[str, ...]] = {
 ALSO = {
     "v": ("velocity", "vel", "speed", "linearvelocity", "linvel"),
     "omega": ("w", "yawrate", "angularvelocity", "angvel", "turnrate"),
-    "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg"),
+    "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg", "b"),
+    "dx": ("d", "ds", "deltas", "deltad", "deltax"), "dy": ("deltay",), "dtheta": ("deltatheta", "deltayaw", "dyaw"),
+    "steering": ("steer", "steeringangle"),
     "x": ("gpsx", "uwbx", "east", "easting"), "y": ("gpsy", "uwby", "north", "northing"),
     "label": ("landmarkid", "beaconid", "markerid", "tagid"), "lat": ("latitude",), "lon": ("longitude", "lng"),
 }  # fmt: skip
@@ -342,7 +363,7 @@ class Columns:
     `offsets`: s added to the stamps of a role's file; `roles`: of files, with the names of sensors; `used`: keys that
     named a column so far; `read`: columns (file, number) that were read; `notes`: about rows that were left out;
     `asked`: questions that only the files raise; `datum`: latitude and longitude [deg] of the origin, of the first
-    place in degrees.
+    place in degrees; `inferred`: quantities of `Origins` that the data tell.
     """
 
     given: Mapping[str, str]
@@ -354,6 +375,7 @@ class Columns:
     notes: list[str] = field(default_factory=list)
     asked: list[Notice] = field(default_factory=list)
     datum: list[float] = field(default_factory=list)
+    inferred: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         for key, name in self.given.items():
@@ -436,6 +458,25 @@ class Columns:
         (column,) = self.require(file, role, ("t",))
         values = file.numbers(column, keep, stamps=self.units.is_date(role)) * self.units.factor(role, "t")
         return values + self.offsets.get(role, 0.0)
+
+    def turned(self, file: TextTable, role: str, time: Array, pose: Array) -> Array:
+        """Poses (K, 3) in radians: headings that follow the course as degrees only are converted, which is noted. Of a
+        stated unit, and of others that turn too fast, there is a question.
+        """
+        key = f"{role}.theta"
+        if self.units.factor(role, "theta") != 1.0:
+            return pose
+        if in_degrees(pose) and not {key, "theta", "angle"} & set(self.units.given):
+            self.inferred.add("units")
+            self.units.given[key] = "deg"
+            largest = float(np.nanmax(np.abs(pose[:, 2])))
+            told = f"headings reach {largest:.4g}, and follow the motion as degrees only"
+            self.notes.append(
+                f"{file.path.name}: inferred: --unit {key}=deg, as {told} (--unit {key}=rad reads them as written)"
+            )
+            return pose * [1.0, 1.0, ANGLE["deg"]]
+        self.asked += heading_unit(file.path.name, time, pose, f"--unit {key}=deg")
+        return pose
 
     def say_unused(self, files: Mapping[str, TextTable]) -> None:
         """Note the columns of named files, by role, that nothing used, with what they likely are."""

@@ -31,7 +31,6 @@ from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Lo
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
 from data.origin import Origin, Origins
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource
-from data.questions.examination import heading_unit
 from data.se2 import Array, BoolArray
 from data.sensors import RangeBearing, Sensor
 from data.terminal import counted
@@ -332,7 +331,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     files = {role: path.name for role, path in wanted.files.items() if role not in several}
     digest = {role: file_sha256(file_and_word(path)[0]) for role, path in wanted.files.items()}
     files |= {f"{role}_sha256": digest[role] for role in wanted.files if role not in several}
-    more: dict[str, object] = {ODOMETRY_KIND: wanted.kind}
+    more: dict[str, object] = {ODOMETRY_KIND: "velocities" if odometry.velocities else wanted.kind}
     if several:
         more[SENSOR] = {name: {"file": wanted.files[name].name, "sha256": digest[name]} for name in several}
     if odometry.velocities and len(odometry.time) > 1:
@@ -361,6 +360,7 @@ def _origins(wanted: Wanted) -> Origins:
     flags = {"units": wanted.columns.units.given, "time_offset": wanted.columns.offsets}
     found = {"odometry_noise": Origin.GIVEN} | {q: Origin.GIVEN for q, value in given.items() if value is not None}
     found |= {q: Origin.GIVEN for q, values in flags.items() if values}
+    found |= dict.fromkeys(wanted.columns.inferred, Origin.INFERRED)
     if SCANS in wanted.files:
         found["range_noise"] = Origin.ASSUMED
     for of in wanted.sensors:
@@ -460,9 +460,7 @@ def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePose
     if level or not np.isfinite(turn).any():
         read[:, 2] = np.nan
         columns.notes.append(f"{file.path.name}: {ABSENT}")
-    if unit == 1.0:
-        time = values["t"] if by_stamp else np.arange(len(read), dtype=float)
-        columns.asked += heading_unit(file.path.name, time, read, "--unit truth.theta=deg")
+    read = columns.turned(file, "truth", values["t"] if by_stamp else np.arange(len(read), dtype=float), read)
     read[~np.isfinite(read[:, :2]).all(axis=1)] = np.nan
     world = se2.compose(wanted.truth_pose, read) if wanted.truth_pose.any() else read
     if by_stamp:

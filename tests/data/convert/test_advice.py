@@ -14,8 +14,6 @@ from tests.data.formats.tables.foreign import FLAGS, export
 
 TABLES = {
     "bearings in degrees": (("angle=deg,", "theta=deg,"), Code.CONTRADICTION),
-    "odometry in degrees": (("angle=deg,", "bearing=deg,truth.theta=deg,"), Code.HEADING_UNIT),
-    "truth in degrees": (("angle=deg,", "bearing=deg,odometry.theta=deg,"), Code.HEADING_UNIT),
     "bearings to the other side": (("angle=deg,", "angle=deg,bearing=-deg,"), Code.CONTRADICTION),
     "bearings of this file to the other side": (
         ("angle=deg,", "angle=deg,observations.bearing=-deg,"),
