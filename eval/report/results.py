@@ -164,8 +164,8 @@ def scores(s: Scored) -> dict[str, float]:
 
 
 CLEARLY, TILTED, SIZE, SCALED = 5.0, 2.0, 0.05, 0.2
-"""Least ratio of RMS errors as read and after a fit, and where verticals differ; least share of the path's extent that
-an error of another frame has; least logarithm of a scale that is unknown, as of one camera.
+"""Least ratio of RMS errors as read and after a fit, and where verticals or scales differ; least share of the path's
+extent that an error of another frame has; least logarithm of a scale that is unknown, as of one camera.
 """
 
 
@@ -180,11 +180,12 @@ def aligned_first(s: Scored, values: Mapping[str, float]) -> Notice | None:
     else:
         direct, rigid, scaled = values["rmse_position_m"], values.get("rmse_aligned_m", math.nan), math.nan
     how, column, fits = ("se3", "rmse_position_3d_se3_m", rigid) if s.run.space else ("se2", "rmse_aligned_m", rigid)
-    if abs(math.log(values.get("scale_sim3", 1.0))) > SCALED and CLEARLY * scaled < rigid:
+    if abs(math.log(values.get("scale_sim3", 1.0))) > SCALED and TILTED * scaled < rigid:
         how, column, fits = "sim3", "rmse_position_3d_sim3_m", scaled
     tilted = any(n.code == Code.PATH_TILT and n.named["which"] == "world" for n in s.run.notes)
     if (
         len(known) < PLENTY
+        or size < STANDING
         or mean < CONSISTENT
         or not direct > max((TILTED if tilted else CLEARLY) * fits, SIZE * size)
     ):
@@ -192,6 +193,7 @@ def aligned_first(s: Scored, values: Mapping[str, float]) -> Notice | None:
     return notice(Code.ALIGNED_FIRST, column=column, direct=direct, how=how)
 
 
+STANDING = 0.1  # m, extent of a robot that stands or turns in place, whose positions tell no frame
 CONSISTENT = 12.0  # Pose NEES up to which an estimate states that it is so far off
 
 

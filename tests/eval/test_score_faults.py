@@ -555,3 +555,20 @@ def test_flat_poses_of_a_robot_as_matrices_are_told_in_either_file(scored):
     values, asked, _ = scored(lines(other), lines(rows), "--axes", "estimate=robot", "--axes", "truth=robot")
     assert values["rmse_position_m"] == pytest.approx(0.1)
     assert not asked
+
+
+def test_a_path_in_another_frame_is_aligned_first(scored):
+    """The names keep their meaning: only their order tells."""
+    t, x, y, _ = WAY.T
+    z = 0.2 * np.sin(t)
+    space = np.column_stack([t, x, y, z, 0 * t, 0 * t, 0 * t, 1 + 0 * t])
+    turned = space.copy()
+    turned[:, 1:4] = 0.5 * space[:, [2, 3, 1]] + [30.0, 0.0, -4.0]
+    values, _, said = scored(lines(turned), lines(space))
+    assert said.startswith("rmse_position_3d_sim3_m ")
+    assert values["rmse_position_3d_sim3_m"] < 1e-6
+    assert values["rmse_position_m"] > 10.0
+    assert scored(lines(turned), lines(space), "--align", "none")[2].startswith("rmse_position_m ")
+    assert scored(lines(space), lines(space))[2].startswith("rmse_position_m ")
+    moved = WAY + [0.0, 30.0, 5.0, 0.0]
+    assert scored(posed(moved), posed(WAY))[2].startswith("rmse_aligned_m ")

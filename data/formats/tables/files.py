@@ -21,10 +21,11 @@ from data.csv_table import Table, cut_off, is_number
 from data.earth import east_north
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import columns_of, is_arrays
-from data.formats.messages import file_and_word, kinds_of, numbered_rows, whole_names, with_word
+from data.formats.messages import file_and_word, kinds_of, numbered_rows, parts_of, whole_names, with_word
 from data.formats.results.reading import role_of, words_of
 from data.inputs import IntArray
 from data.notice import Notice
+from data.origin import Origin
 from data.questions.examination import heading_unit, in_degrees
 from data.se2 import Array, BoolArray
 from data.terminal import counted
@@ -145,6 +146,8 @@ def read_text(path: Path) -> TextTable:
     """The file's rows, of FILE:WORD those that begin with a word; DataError for an unreadable or binary file, one
     without rows, or unequal rows.
     """
+    if len(parts := parts_of(path)) > 1:
+        return _joined(path, parts)
     if is_arrays(path):
         columns, values = columns_of(path)
         return TextTable(path, columns, values, np.arange(1, len(values) + 1), named=True)
@@ -209,9 +212,30 @@ def read_text(path: Path) -> TextTable:
     return TextTable(path, tuple(shown), tuple(rows), number, names is not None, comma)
 
 
+def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
+    """One table of several files: of a folder one below the other, with the number of the file as `frame`; else side by
+    side, with columns named as the file (NAME1, NAME2, ... of several). DataError for unequal columns or rows.
+    """
+    tables = [read_text(part) for part in parts]
+    first, below = tables[0], path.is_dir()
+    if len({len(t.names) if below else len(t) for t in tables}) > 1:
+        what = f"files of unequal numbers of {'columns' if below else 'rows'}; as many in each are needed"
+        raise DataError.at(path, what)
+    if below:
+        names: tuple[str, ...] = ("frame", *first.names)
+        rows = tuple((str(k), *row) for k, t in enumerate(tables) for row in t.rows)
+    else:
+        each = [[(t.path.stem, k + 1, name) for k, name in enumerate(t.names)] for t in tables]
+        named = [name if t.named else f"{stem}{k}" if len(t.names) > 1 else stem
+                 for t, own in zip(tables, each, strict=True) for stem, k, name in own]  # fmt: skip
+        names, rows = tuple(named), tuple(sum(several, ()) for several in zip(*(t.rows for t in tables), strict=True))
+    return TextTable(path, names, rows, np.arange(1, len(rows) + 1), named=True)
+
+
 def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
     """A row for each landmark of a table with a column for each, of names with a star by quantity; what the star stands
-    for is the label. Blank, infinite and negative ranges are no observation. DataError where no column matches.
+    for is the label, but of columns that are filled from the left, as far as a row has observations. Blank, infinite,
+    zero and negative ranges are no observation. DataError where no column matches.
     """
     found: dict[str, dict[str, int]] = {}
     own = not {"label", "true_id"} & set(patterns)
@@ -226,18 +250,26 @@ def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
     taken = {j for of in found.values() for j in of.values()}
     rest = [j for j in range(len(file.names)) if j not in taken]
     whole = all(star.isdecimal() for star in labels)
-    rows, line = [], []
-    for row, number in zip(file.rows, file.line.tolist(), strict=True):
-        for k, (star, of) in enumerate(labels.items()):
-            values = {q: row[j] for q, j in of.items()}
-            numbers = {q: float(v) if is_number(v) else math.nan for q, v in values.items() if q in STARRED}
-            if all(map(math.isfinite, numbers.values())) and numbers.get("range", 0.0) >= 0.0:
-                rows.append((*(row[j] for j in rest), *values.values(), *([star if whole else str(k)] * own)))
-                line.append(number)
+    seen = [[k for k, of in enumerate(labels.values()) if _observed(row, of)] for row in file.rows]
+    own &= len(set(map(len, seen))) < SLOTS or any(some != list(range(len(some))) for some in seen)
+    named = [star if whole else str(k) for k, star in enumerate(labels)]
+    columns = list(labels.values())
+    rows = [
+        (*(row[j] for j in rest), *(row[j] for j in columns[k].values()), *[named[k]] * own)
+        for row, some in zip(file.rows, seen, strict=True)
+        for k in some
+    ]
+    line = np.repeat(file.line, list(map(len, seen)))
     names = (*(file.names[j] for j in rest), *patterns, *["label"] * own)
-    return replace(file, names=names, rows=tuple(rows), line=np.array(line, np.int64), named=True)
+    return replace(file, names=names, rows=tuple(rows), line=line, named=True)
 
 
+def _observed(row: Sequence[str], of: Mapping[str, int]) -> bool:
+    values = {q: float(row[j]) if is_number(row[j]) else math.nan for q, j in of.items() if q in STARRED}
+    return all(map(math.isfinite, values.values())) and values.get("range", 1.0) > 0.0
+
+
+SLOTS = 3  # Least different numbers of filled columns, from the left always, which no landmarks in sight would make
 STARRED, IDS = ("range", "bearing", "x", "y"), ("label", "true_id")
 """Quantities of observations that may have a column for each landmark, or for each of several in a row, with ids."""
 
@@ -363,7 +395,8 @@ class Columns:
     `offsets`: s added to the stamps of a role's file; `roles`: of files, with the names of sensors; `used`: keys that
     named a column so far; `read`: columns (file, number) that were read; `notes`: about rows that were left out;
     `asked`: questions that only the files raise; `datum`: latitude and longitude [deg] of the origin, of the first
-    place in degrees; `inferred`: quantities of `Origins` that the data tell.
+    place in degrees; `origins`: of what the data tell, or nobody; `period`: s between rows of an odometry without
+    stamps.
     """
 
     given: Mapping[str, str]
@@ -375,7 +408,8 @@ class Columns:
     notes: list[str] = field(default_factory=list)
     asked: list[Notice] = field(default_factory=list)
     datum: list[float] = field(default_factory=list)
-    inferred: set[str] = field(default_factory=set)
+    origins: dict[str, Origin] = field(default_factory=dict)
+    period: float | None = None
 
     def __post_init__(self) -> None:
         for key, name in self.given.items():
@@ -467,7 +501,7 @@ class Columns:
         if self.units.factor(role, "theta") != 1.0:
             return pose
         if in_degrees(pose) and not {key, "theta", "angle"} & set(self.units.given):
-            self.inferred.add("units")
+            self.origins["units"] = Origin.INFERRED
             self.units.given[key] = "deg"
             largest = float(np.nanmax(np.abs(pose[:, 2])))
             told = f"headings reach {largest:.4g}, and follow the motion as degrees only"

@@ -150,9 +150,12 @@ def read_odometry(
         columns.notes.append(f"{file.path.name}: assumed: steps have no dy, so the robot moves ahead alone")
         quantities = ("dx", "dtheta")
     stamped = columns.find(file, role, "t") is not None
-    if not stamped and kind in STAMPED:
+    if not stamped and kind in STAMPED and columns.period is None:
         columns.require(file, role, ("t",))
     table, skipped = columns.table(file, role, (*(("t",) if stamped else ()), *quantities))
+    if not stamped and columns.period is not None:
+        table = replace(table, columns={**table.columns, "t": columns.period * np.arange(len(table), dtype=float)})
+        stamped = True
     if len(table) == 0:
         raise DataError.at(file.path, f"no row has {', '.join(quantities)}")
     notes = columns.notes

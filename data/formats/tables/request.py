@@ -338,6 +338,8 @@ def settle(given: Given) -> Wanted:
     given = {**given, LENGTH: units.given.get(LENGTH, "")}
     named = table_files.pairs(given.get("columns", {}), "columns")
     columns = Columns(named, units, _offsets(given, files, several), roles=(*ROLES, *several))
+    if "period" in given:
+        columns.period = table_files.quantity_with_unit(str(given["period"]), "time", "--period")
     if given[LENGTH]:
         columns.notes.append(f"lengths of flags without a unit are in {given[LENGTH]}, as --unit states")
     # a file with several roles is read once
@@ -350,6 +352,9 @@ def settle(given: Given) -> Wanted:
             columns.notes.append(f"inferred: --columns {','.join(f'{q}={n}' for q, n in stars.items())}")
         if role in texts and stars:
             texts[role] = table_files.unpivoted(texts[role], stars)
+            if not {"label", "true_id"} & {*texts[role].names}:
+                told = "filled from the left, so they are no labels (--columns label=NAME* names some)"
+                columns.notes.append(f"inferred: columns {', '.join(stars.values())} are {told}")
             columns.given = {k: n for k, n in columns.given.items() if n not in stars.values()}
     kind = _kind(given, texts["odometry"], columns, "odometry", tuple(KINDS))
     for flag in ("hold", "integrate"):

@@ -82,3 +82,37 @@ def test_steps_without_a_sideways_motion(converted, world):
     assert "assumed: steps have no dy" in said
     assert "warning" not in said
     np.testing.assert_allclose(log.recorded.increments.mean[1:30, 2], np.diff(pose[::10, 2]), atol=1e-6)
+
+
+def test_fixes_tell_the_start_and_files_side_by_side_are_one_table(world, tmp_path, capsys):
+    t, v, _, pose, _ = world
+    for name, column in (("clock", t), ("speed", v), ("turn", np.gradient(pose[:, 2], t))):
+        np.savetxt(tmp_path / f"{name}.txt", column)
+    c, s = np.cos(0.7), np.sin(0.7)
+    moved = pose[:, :2] @ [[c, s], [-s, c]] + [5.0, -3.0]
+    np.savetxt(tmp_path / "gps.csv", np.column_stack([t, moved])[::10], "%.9g", ",", header="t,x,y", comments="")
+    words = [str(tmp_path / "clock.txt") + "+speed.txt+turn.txt", str(tmp_path / "log"), "--fixes"]
+    words += [str(tmp_path / "gps.csv"), "--columns", "odometry.t=clock,v=speed,omega=turn"]
+    assert main(["table", *words], "slamref convert") == 2  # of assumed noise the way is too short
+    assert main(["table", *words, "--fix-sigma", "5cm,5cm"], "slamref convert") == 0
+    log, said = load_folder(tmp_path / "log"), capsys.readouterr().out
+    assert log.recorded.prior.mean == pytest.approx([5.0, -3.0, 0.7], abs=0.05)
+    assert log.origins["prior"] is Origin.INFERRED
+    assert "inferred: --prior=" in said
+
+
+def test_a_folder_of_observations_a_file_for_each_row(world, tmp_path):
+    """Rows without stamps at a stated period; observations are points in the sensor's frame."""
+    t, v, _, pose, places = world
+    np.savetxt(tmp_path / "control.txt", np.column_stack([v, np.gradient(pose[:, 2], t)]))
+    (tmp_path / "seen").mkdir()
+    for k, (x, y, theta) in enumerate(pose):
+        c, s = np.cos(theta), np.sin(theta)
+        near = (places - [x, y]) @ [[c, -s], [s, c]]
+        np.savetxt(tmp_path / "seen" / f"{k:05d}.txt", near[: 1 + k % 3])
+    names = "odometry.v=1,odometry.omega=2,observations.x=1,observations.y=2"
+    words = [str(tmp_path / "control.txt"), str(tmp_path / "log"), "--observations", str(tmp_path / "seen")]
+    assert main(["table", *words, "--columns", names, "--period", "0.1s"], "slamref convert") == 0
+    log = load_folder(tmp_path / "log")
+    assert len(log.recorded.observations.z) == sum(1 + k % 3 for k in range(300))
+    assert log.recorded.time[-1] == pytest.approx(29.9)
