@@ -173,14 +173,15 @@ def aligned_first(s: Scored, values: Mapping[str, float]) -> Notice | None:
     """What is said of a path that only an alignment brings to its truth: the column of the RMSE after it."""
     if any(n.code in (Code.PATH_CLOCK, Code.PATH_LEAP) for n in s.run.notes) or s.run.match is None:
         return None
-    known = s.run.match.truth[np.isfinite(s.run.match.truth[:, :2]).all(axis=1), :2]
+    truth = s.run.space[s.phase].truth.position if s.phase in s.run.space else s.run.match.truth[:, :2]
+    known = truth[np.isfinite(truth).all(axis=1)]
     size, mean = math.sqrt(float(np.var(known, axis=0).sum())), values.get("nees_pose", math.inf)
     if s.phase in s.run.space:
         direct, rigid, scaled = (values.get(f"rmse_position_3d{how}_m", math.nan) for how in ("", "_se3", "_sim3"))
     else:
         direct, rigid, scaled = values["rmse_position_m"], values.get("rmse_aligned_m", math.nan), math.nan
     how, column, fits = ("se3", "rmse_position_3d_se3_m", rigid) if s.run.space else ("se2", "rmse_aligned_m", rigid)
-    if abs(math.log(values.get("scale_sim3", 1.0))) > SCALED and TILTED * scaled < rigid:
+    if abs(math.log(values.get("scale_sim3", 1.0))) > SCALED and TILTED * scaled < min(rigid, 0.5 * size):
         how, column, fits = "sim3", "rmse_position_3d_sim3_m", scaled
     tilted = any(n.code == Code.PATH_TILT and n.named["which"] == "world" for n in s.run.notes)
     if (
@@ -193,7 +194,7 @@ def aligned_first(s: Scored, values: Mapping[str, float]) -> Notice | None:
     return notice(Code.ALIGNED_FIRST, column=column, direct=direct, how=how)
 
 
-STANDING = 0.1  # m, extent of a robot that stands or turns in place, whose positions tell no frame
+STANDING = 0.01  # m, extent of a robot that stands or turns in place, whose positions tell no frame
 CONSISTENT = 12.0  # Pose NEES up to which an estimate states that it is so far off
 
 
