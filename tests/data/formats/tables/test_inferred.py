@@ -52,8 +52,7 @@ def test_speed_and_steering_of_a_car(converted):
     assert log.origins["units"] is Origin.INFERRED
     assert "inferred: --unit truth.theta=deg" in said
     o = log.recorded.observations  # each row holds two, whose ids name the landmarks
-    far = np.hypot(*(PLACES[log.label] - POSE[10 * o.frame, :2]).T)
-    np.testing.assert_allclose(o.z[:, 0], far, atol=1e-6)
+    assert np.hypot(*(PLACES[log.label] - POSE[10 * o.frame, :2]).T) == pytest.approx(o.z[:, 0], abs=1e-6)
     assert len(o.z) == 60
     asked, said = converted(odometry, "--wheel-base", "0.5", "--unit", "truth.theta=rad")
     assert "heading unit" in said
