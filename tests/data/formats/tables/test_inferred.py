@@ -49,8 +49,7 @@ def test_speed_and_steering_of_a_car(converted):
     assert "warning" not in said
     np.testing.assert_allclose(log.truth.pose[:30, 2], wrap_angle(POSE[::10, 2]), atol=1e-6)
     np.testing.assert_allclose(log.recorded.increments.mean[1:30, 2], np.diff(POSE[::10, 2]), atol=1e-6)
-    assert log.origins["units"] is Origin.INFERRED
-    assert "inferred: --unit truth.theta=deg" in said
+    assert (log.origins["units"], "inferred: --unit truth.theta=deg" in said) == (Origin.INFERRED, True)
     o = log.recorded.observations  # each row holds two, whose ids name the landmarks
     assert np.hypot(*(PLACES[log.label] - POSE[10 * o.frame, :2]).T) == pytest.approx(o.z[:, 0], abs=1e-6)
     assert len(o.z) == 60
@@ -76,8 +75,7 @@ def test_fixes_tell_the_start_and_files_side_by_side_are_one_table(convert):
     assert "unknown start" in convert(*table, status=2)  # of noise of 1 m, which is assumed, the way is too short
     log, said = convert(*table, "--fix-sigma", "5cm,5cm")
     assert log.recorded.prior.mean == pytest.approx([5.0, -3.0, 0.7], abs=0.05)
-    assert log.origins["prior"] is Origin.INFERRED
-    assert "inferred: --prior=" in said
+    assert (log.origins["prior"], "inferred: --prior=" in said) == (Origin.INFERRED, True)
 
 
 def test_a_folder_of_observations_a_file_for_each_row(convert, tmp_path):
