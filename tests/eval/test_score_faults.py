@@ -57,18 +57,6 @@ def tum(places, yaw=0.0, z=0.0, step=1.0, start=0.0):
 # ---- columns by name
 
 
-def test_a_header_with_the_quaternion_x_first_is_obeyed(scored):
-    stamps = [1403636579000000000 + 50_000_000 * k for k in range(len(CURVE))]
-    header, q = "#timestamp,x,y,z,qx,qy,qz,qw", (0, 0, math.sin(5 * DEG), math.cos(5 * DEG))
-    truth = commas([(t, x, y, 0, 0, 0, 0, 1) for t, (x, y) in zip(stamps, CURVE)], header)
-    estimate = commas([(t, x, y, 0, *q) for t, (x, y) in zip(stamps, CURVE)], header)
-    values, asked, said = scored(estimate, truth)
-    assert values["rmse_heading_deg"] == pytest.approx(10.0)
-    assert values["rmse_rotation_3d_deg"] == pytest.approx(10.0)
-    assert not asked
-    assert "stamps in ns by their size" in said
-
-
 NAMES = {
     "TUM, w first": ("# timestamp tx ty tz qw qx qy qz", " ", "txyzWXYZ"),
     "no comment": ("time,pos_x,pos_y,pos_z,quat_w,quat_x,quat_y,quat_z", ",", "txyzWXYZ"),
