@@ -236,23 +236,16 @@ class Scanned:
 
 @dataclass
 class Collected:
-    """Messages by topic.
+    """Messages by topic."""
 
-    Attributes:
-        poses: of odometry, truth and fixes, with the frames of each topic: of the header and the body's. Of a second
-            odometry the covariance is that of the velocity along, across and of the turn.
-        detections: by topic.
-        cameras: fx, fy, cx, cy by frame.
-        tree: transforms.
-        scans: of the only topic of scans.
-    """
-
+    # of odometry, truth and fixes, with the frames of each topic: of the header and the body's. Of a second odometry
+    # the covariance is that of the velocity along, across and of the turn
     poses: dict[str, list[Pose]] = field(default_factory=dict)
     frames: dict[str, tuple[str, str]] = field(default_factory=dict)
-    detections: dict[str, list[Detection]] = field(default_factory=dict)
-    cameras: dict[str, tuple[float, float, float, float]] = field(default_factory=dict)
-    tree: Tree = field(default_factory=Tree)
-    scans: Scanned = field(default_factory=Scanned)
+    detections: dict[str, list[Detection]] = field(default_factory=dict)  # by topic
+    cameras: dict[str, tuple[float, float, float, float]] = field(default_factory=dict)  # fx, fy, cx, cy by frame
+    tree: Tree = field(default_factory=Tree)  # transforms
+    scans: Scanned = field(default_factory=Scanned)  # of the only topic of scans
 
 
 def collect(path: Path, topics: Sequence[Topic]) -> Collected:

@@ -25,22 +25,16 @@ from data.sensors import RELATIVE_POINT
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Another way to read a log.
+    """Another way to read a log."""
 
-    Attributes:
-        kind: `UNIT`, `SIDE`, `EXCHANGED`, `CLOCK`, `TURNED`, `WORLD`, `COMPASS`, `FRAME` (place of a part in the
-            world), `SHIFTED` (ids), `STRANGE` (ids of other landmarks) or `STILL` (headings that never change).
-        of: the quantity, or the part of the log.
-        unit: of a `UNIT`; of other kinds empty.
-        number: s of a `CLOCK`, deg of `TURNED`, difference of `SHIFTED`; of a `UNIT` of all lengths, how many times as
-            large as the stated noise errors are.
-        change: the case as it is read then.
-    """
-
+    # `UNIT`, `SIDE`, `EXCHANGED`, `CLOCK`, `TURNED`, `WORLD`, `COMPASS`, `FRAME` (place of a part in the world),
+    # `SHIFTED` (ids), `STRANGE` (ids of other landmarks) or `STILL` (headings that never change)
     kind: str
-    of: str
-    change: Callable[[Case], Case]
-    unit: str = ""
+    of: str  # the quantity, or the part of the log
+    change: Callable[[Case], Case]  # the case as it is read then
+    unit: str = ""  # of a `UNIT`; of other kinds empty
+    # s of a `CLOCK`, deg of `TURNED`, difference of `SHIFTED`; of a `UNIT` of all lengths, how many times as large as
+    # the stated noise errors are
     number: float = math.nan
     carry: tuple[float, ...] = ()  # of a `FRAME` the pose by which it is moved, of `PLACED` where it is on the body
 

@@ -45,25 +45,18 @@ LONGEST = 1e6  # s, longest log; stamps in another unit would fill the memory wi
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Observations of a sensor, fixes or closures in the order of their (later) instants.
+    """Observations of a sensor, fixes or closures in the order of their (later) instants."""
 
-    Attributes:
-        what, one: all, and one of them, in a message.
-        table: what they measure.
-        at: (K, 1) s, as the odometry's; of closures (K, 2).
-        stamped: at their own stamps, not at rows of the odometry.
-        z, sigma: (K, 3) of fixes and closures, NaN where not measured; (K, 2) of observations.
-        source: (K,) row in `names` of fixes and closures.
-    """
-
+    # what, one: all, and one of them, in a message
     what: str
     one: str
-    table: Table
-    at: Array
-    stamped: bool
+    table: Table  # what they measure
+    at: Array  # (K, 1) s, as the odometry's; of closures (K, 2)
+    stamped: bool  # at their own stamps, not at rows of the odometry
+    # z, sigma: (K, 3) of fixes and closures, NaN where not measured; (K, 2) of observations
     z: Array
     sigma: Array
-    source: IntArray
+    source: IntArray  # (K,) row in `names` of fixes and closures
     names: tuple[str, ...] = ()
 
     def part(self, rows: IntArray) -> Rows:

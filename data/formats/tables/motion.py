@@ -59,21 +59,13 @@ Noises = VelocityNoise | TravelNoise | StepNoise
 
 @dataclass(frozen=True, eq=False)
 class Odometry:
-    """One file's odometry.
+    """One file's odometry."""
 
-    Attributes:
-        table: its rows, for messages.
-        time: (K,) s, strictly increasing; row numbers without stamps.
-        stamped: whether there are stamps.
-        motion: (K, 2) velocities [m/s, rad/s], or (K, 3) poses, composed or recorded.
-        rows: (F,) s, the instant of each row of the file, merged and blank ones too; NaN: it has none.
-    """
-
-    table: Table
-    time: Array
-    stamped: bool
-    motion: Array
-    rows: Array
+    table: Table  # its rows, for messages
+    time: Array  # (K,) s, strictly increasing; row numbers without stamps
+    stamped: bool  # whether there are stamps
+    motion: Array  # (K, 2) velocities [m/s, rad/s], or (K, 3) poses, composed or recorded
+    rows: Array  # (F,) s, the instant of each row of the file, merged and blank ones too; NaN: it has none
 
     @property
     def velocities(self) -> bool:

@@ -64,19 +64,14 @@ SEEN: dict[tuple[str, ...], type[Sensor]] = {
 
 @dataclass(frozen=True, eq=False)
 class TableSensor:
-    """A sensor of tables, in SI units.
+    """A sensor of tables, in SI units."""
 
-    Attributes:
-        role: of its file, among the files and in keys of columns: its name, or "observations" of the only one.
-        measured: its columns, a key of `SEEN`; sensor: its label is blank where it is the only one.
-        origins: of its noise, place, and reach, which is as observed where it is inferred.
-        sigma: (2,) of an observation; looks: noise of descriptors and classes; what is None is not read.
-    """
-
-    role: str
+    role: str  # of its file, among the files and in keys of columns: its name, or "observations" of the only one
+    # measured: its columns, a key of `SEEN`; sensor: its label is blank where it is the only one
     measured: tuple[str, ...]
     sensor: Sensor
-    origins: Origins
+    origins: Origins  # of its noise, place, and reach, which is as observed where it is inferred
+    # sigma: (2,) of an observation; looks: noise of descriptors and classes; what is None is not read
     sigma: Array
     looks: Noise
 
@@ -211,43 +206,36 @@ FROM_TRUTH = "truth"  # The prior's mean is the first true pose
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """The request, in SI units.
+    """The request, in SI units."""
 
-    Attributes:
-        files, texts: by role (odometry, observations or the name of a sensor, map, truth, fixes, closures).
-        kind, noise: of the odometry; model: how velocities become increments.
-        prior: mean (3,), "truth", or None: the frame of the log starts at the robot; prior_sigma (3,) or None.
-        map_pose: (3,) pose of the map's frame in the world; truth_pose: of the truth's.
-        every_row: every odometry row is a frame, not only those with observations.
-        backward: a row's velocities held since the row before; else until the next one.
-        fix_sigma, closure_sigma: (3,) of x, y, theta where a row states none, NaN unknown; None: not stated.
-        scanner: (3,) first angle, step [rad] and reach [m] of scans; None: columns state them.
-        fix_lever, fix_rotation: place [m] and direction [rad] in the body frame of what measures the fixes.
-        assumed: quantities of `Origins` that nobody stated.
-    """
-
+    # files, texts: by role (odometry, observations or the name of a sensor, map, truth, fixes, closures)
     files: Mapping[str, Path]
     texts: Mapping[str, TextTable]
     columns: Columns
+    # kind, noise: of the odometry; model: how velocities become increments
     kind: str
     wheels: Wheels | None
     noise: Noises
     model: str
     sensors: tuple[TableSensor, ...]
+    # mean (3,), "truth", or None: the frame of the log starts at the robot; prior_sigma (3,) or None
     prior: Array | str | None
     prior_sigma: Array | None
+    # map_pose: (3,) pose of the map's frame in the world; truth_pose: of the truth's
     map_pose: Array
     truth_pose: Array
-    every_row: bool
+    every_row: bool  # every odometry row is a frame, not only those with observations
     sensed: bool
-    backward: bool = False
+    backward: bool = False  # a row's velocities held since the row before; else until the next one
+    # fix_sigma, closure_sigma: (3,) of x, y, theta where a row states none, NaN unknown; None: not stated
     fix_sigma: Array | None = None
     closure_sigma: Array | None = None
+    # fix_lever, fix_rotation: place [m] and direction [rad] in the body frame of what measures the fixes
     fix_lever: tuple[float, float] = (0.0, 0.0)
     fix_rotation: float = 0.0
     second: Second | None = None
-    scanner: Array | None = None
-    assumed: tuple[str, ...] = ()
+    scanner: Array | None = None  # (3,) first angle, step [rad] and reach [m] of scans; None: columns state them
+    assumed: tuple[str, ...] = ()  # quantities of `Origins` that nobody stated
 
 
 TABLES = ("columns", "unit", "time-offset")  # Flags of pairs KEY=VALUE, tables of a mapping file
