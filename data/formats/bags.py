@@ -868,9 +868,12 @@ def _prior(wanted: Wanted, first: Array, true: Array | None, fixed: Sequence[_Fi
     turn = next((f for f in fixed if f.kind is FixKind.HEADING), None)
     if place is None and turn is None:
         return Prior(first, np.zeros((3, 3))), "The prior is the first pose of the odometry, exactly."
+    if place is None and turn is not None:  # of a world whose origin is free
+        mean = np.array([*first[:2], float(turn.z[0, 2]) - turn.source.rotation])
+        P = np.diag([0.0, 0.0, float(turn.covariance[0, 2, 2])])
+        return Prior(mean, P), f"The prior is the first place of the odometry, with the heading of {turn.source.name}."
     if place is None or turn is None:
-        what = "heading" if turn is None else "position"
-        raise UsageError(f"the first {what} in the frame of the fixes is unknown; --prior X,Y,THETA and --prior-sigma "
+        raise UsageError("the first heading in the frame of the fixes is unknown; --prior X,Y,THETA and --prior-sigma "
                          "SX,SY,STHETA are needed")  # fmt: skip
     theta = float(turn.z[0, 2]) - turn.source.rotation
     arm = se2.rotation(theta) @ np.array(place.source.lever)

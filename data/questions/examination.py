@@ -521,9 +521,17 @@ def heading_unit(of: str, time: Array, pose: Array, flag: str) -> list[Notice]:
     radians, or follow the course in degrees only.
     """
     known = np.isfinite(pose).all(axis=1)
-    time, pose = time[known], pose[known]
-    if len(pose) < 2 or (largest := float(np.abs(pose[:, 2]).max())) <= 1.01 * TURN:
+    largest = float(np.abs(pose[known, 2]).max(initial=0.0))
+    if largest <= 1.01 * TURN or not (in_degrees(pose) or fastest(time[known], np.diff(pose[known, 2]))):
         return []
+    return [notice(Code.HEADING_UNIT, of=of, largest=largest, flags=(flag,))]
+
+
+def in_degrees(pose: Array) -> bool:
+    """Whether headings of poses (K, 3) as they are written reach beyond a turn, and follow the way as degrees only."""
+    pose = pose[np.isfinite(pose).all(axis=1)]
+    if not np.abs(pose[:, 2]).max(initial=0.0) > 1.01 * TURN:
+        return False
     step = np.diff(pose[:, :2], axis=0)
     moves = step.any(axis=1)
     motion, heading = step[moves, 0] + 1j * step[moves, 1], 0.5 * (pose[1:, 2] + pose[:-1, 2])[moves]
@@ -531,10 +539,7 @@ def heading_unit(of: str, time: Array, pose: Array, flag: str) -> list[Notice]:
         float(np.abs(np.sum(motion * np.exp(-1j * h))) / np.abs(motion).sum()) if len(motion) >= PLENTY else 0.0
         for h in (heading, DEG * heading)
     )
-    aside = max(ASIDE, 3.0 * (1.0 - degrees))
-    if not (degrees > ALONG and 1.0 - stated > aside) and not fastest(time, np.diff(pose[:, 2])):
-        return []
-    return [notice(Code.HEADING_UNIT, of=of, largest=largest, flags=(flag,))]
+    return degrees > ALONG and 1.0 - stated > max(ASIDE, 3.0 * (1.0 - degrees))
 
 
 def _strange(x: Examination) -> list[Explained]:
