@@ -101,7 +101,7 @@ class Log:
         name: str, prior: tuple[ArrayLike, ArrayLike], sensor: Mapping[str, Any] | Sequence[Mapping[str, Any]],
         observations: ArrayLike, **more: Any,
     ) -> Log:  # fmt: skip
-        """A log from arrays, checked as a log folder is (docs/logs.md); errors name array and row, from 0.
+        """A log from arrays, checked as a log folder is (docs/log-folder.md); errors name array and row, from 0.
 
         Args:
             name: unique in a run.

@@ -1,6 +1,6 @@
 """`log.toml` of an open log folder, checked key by key.
 
-Formats 1 and 2; docs/logs.md lists the keys. Besides these, with their defaults:
+Formats 1 and 2; docs/log-folder.md lists the keys. Besides these, with their defaults:
 
     time_is_index = false               t is a frame number, there are no stamps
     covariance_floor = 1e-10            smallest eigenvalue of an increment's covariance; 0 for none

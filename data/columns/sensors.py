@@ -1,6 +1,6 @@
 """Sensors of landmarks in `log.toml`, and what the rows of observations.csv measure with them.
 
-docs/logs.md and docs/notes/several-sensors.md list the keys. Observations of a frame are sorted by sensor on reading.
+docs/log-folder.md and docs/notes/several-sensors.md list the keys. Reading sorts a frame's rows by sensor.
 """
 
 import math

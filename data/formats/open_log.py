@@ -1,7 +1,7 @@
 """Open log folder, formats 1 and 2: a reader with strict checks, and a writer whose numbers load again bit for bit.
 
-docs/logs.md lists its files. observations.csv and [sensor] may be missing where there are scans, fixes or closures.
-relations.csv: reference relations for scoring without a true path; exact: 1 where both rows are certain, else 0.
+docs/log-folder.md lists its files. observations.csv and [sensor] may be missing where there are scans, fixes or
+closures. relations.csv: relations for scoring without a true path; exact: 1 where both rows are certain, else 0.
 """
 
 import os

@@ -17,7 +17,7 @@ from eval.studies.diagnosis import Trust
 
 NEES_MARGIN = 1.25
 """Times the expectation, below which the lower bound of one log's interval is no objection: 95 % intervals of one log
-cover 84 to 93 % (docs/verdicts.md)."""
+cover 84 to 93 % (docs/notes/verdict-rules.md)."""
 WRONG_LIMIT = 0.05  # share of wrong pairings. `jcbb` has 3 % on worlds that are as stated, and one in ten ruins a path
 NIS_LIMIT = 4.6
 """NIS per degree of freedom over its expectation from which a path is not to be used: 9.21 / 2, the square at which a

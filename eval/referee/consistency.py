@@ -2,7 +2,7 @@
 
 NEES = e' P^-1 e of the world-frame error; a consistent estimator has E[NEES] = dof. Errors of successive frames are
 correlated, so a verdict needs many runs (Student's t on the run means); see Bar-Shalom, Li, Kirubarajan, Estimation
-with Applications to Tracking and Navigation, section 5.4. docs/verdicts.md has the measured power of each verdict.
+with Applications to Tracking and Navigation, section 5.4. docs/notes/verdict-rules.md has their measured power.
 """
 
 import math

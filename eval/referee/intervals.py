@@ -2,7 +2,7 @@
 
 Errors of successive frames are strongly correlated. The stationary bootstrap (Politis & Romano, JASA 1994) draws whole
 stretches of the log, of random length with a given mean, and so keeps the correlation within them. The intervals assume
-stationary errors and hold for this log, not for another one. docs/verdicts.md has the measured coverage.
+stationary errors and hold for this log, not for another one. docs/notes/verdicts.md has the measured coverage.
 """
 
 import math
@@ -24,7 +24,7 @@ SEED = 0  # seed of every run and pair, so that a run has the same interval wher
 MIN_FRAMES = 50  # least number of frames of an interval: with 30 the measured coverage is 89 % even without correlation
 LONGEST = 0.1  # largest mean block, as a share of the frames: ten blocks
 MIN_INDEPENDENT = 20.0
-"""Least number of independent frames; below it the measured coverage is 20 to 80 % (docs/verdicts.md)."""
+"""Least number of independent frames; below it the measured coverage is 20 to 80 % (docs/notes/verdicts.md)."""
 ONE_DRAW = "in SLAM the error of the frame is one draw, which no part of the log shows"
 CHUNK = 500_000  # blocks drawn at once, for 50 MB of memory
 

@@ -336,7 +336,7 @@ RELATIONS = File(
 OF_SOURCES = "inliers accepted, outliers rejected, outliers accepted, inliers rejected"
 SOURCES = File(
     "sources.csv",
-    "[Fixes and closures](verdicts.md#fixes-and-closures) by source.",
+    "[Fixes and closures](notes/verdict-rules.md#fixes-and-closures) by source.",
     (
         *RUN,
         text("source", "name of the source"),

@@ -4,7 +4,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from tests.documents import api, course, measured, measures, results_folder
+from tests.documents import api, course, measured, results_folder
+from tests.documents.measures import MEASURES, measure
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = {DOCS / "api.md": api.page, DOCS / "results-folder.md": results_folder.page, **course.MADE}
@@ -16,14 +17,14 @@ def main() -> None:
     parser.add_argument(
         "--measure",
         metavar="RESULTS",
-        help=f"measure anew, of {', '.join(measures.MEASURES)}, course, lessons by name, or all",
+        help=f"measure anew, of {', '.join((*MEASURES, *measured.EXAMPLES))}, course, lessons by name, or all",
     )
     if asked := parser.parse_args().measure:
-        names = asked.replace("all", ",".join([*measures.MEASURES, "course"])).replace(
+        names = asked.replace("all", ",".join([*MEASURES, *measured.EXAMPLES, "course"])).replace(
             "course", ",".join(course.LESSONS)
         )
         course.measure(name for name in names.split(",") if name in course.LESSONS)
-        measures.measure(name for name in names.split(",") if name not in course.LESSONS)
+        measure(name for name in names.split(",") if name not in course.LESSONS)
     for path, page in PAGES.items():
         path.write_text(page(), encoding="utf-8")
     for path, text in measured.pages().items():

@@ -2,6 +2,7 @@
 
 A claim is a line of a page with `{result.name:format}` in place of numbers. `make docs` writes the stored numbers into
 the pages; `make docs ARGS='--measure arena,intel'` runs the commands of these results anew first, which takes minutes.
+`printed.toml` has commands whose printed lines stand on pages, and how these begin; `printed.json` has what they print.
 """
 
 import json
@@ -10,7 +11,8 @@ import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-CLAIMS, STORE = Path(__file__).with_name("claims.toml"), Path(__file__).with_name("measured.json")
+STORE, PRINTED = (Path(__file__).with_name(f"{name}.json") for name in ("measured", "printed"))
+CLAIMS, EXAMPLES = (tomllib.loads(STORE.with_name(f"{name}.toml").read_text("utf-8")) for name in ("claims", "printed"))
 PLACE = re.compile(r"\{([\w.]+):([^}]+)\}")
 NUMBER = r"[−-]?\d[\d .]*(?: ?%)?"
 
@@ -18,12 +20,6 @@ NUMBER = r"[−-]?\d[\d .]*(?: ?%)?"
 def shown(value: float, layout: str) -> str:
     """A number as a page shows it: Python's layout, with a space before % and a true minus."""
     return format(value, layout).replace("%", " %").replace("-", "−")
-
-
-def claims() -> list[tuple[Path, str]]:
-    """Pages and the lines that claim numbers."""
-    found = tomllib.loads(CLAIMS.read_text(encoding="utf-8"))
-    return [(ROOT / page, line) for page, lines in found.items() for line in lines["lines"]]
 
 
 def stored() -> dict[str, dict[str, float]]:
@@ -46,12 +42,25 @@ def written(text: str, line: str, values: dict[str, dict[str, float]]) -> str:
     return text.replace(found[0], PLACE.sub(number, line))
 
 
+def shown_again(text: str, line: str, printed: str) -> str:
+    """A page with a printed line, from a beginning on. Raises ValueError unless page and print have it once."""
+    rest = re.compile(re.escape(line) + r"[^`\n]*")
+    old, new = rest.findall(text), rest.findall(printed)
+    if (len(old), len(new)) != (1, 1):
+        raise ValueError(f"{len(old)} and {len(new)} times, not once: {line}")
+    return text.replace(old[0], new[0].rstrip())
+
+
 def pages() -> dict[Path, str]:
     """Every page with claims, with the stored numbers in it. Raises ValueError, which names page and line."""
-    values, made = stored(), dict[Path, str]()
-    for page, line in claims():
+    values, made, said = stored(), dict[Path, str](), json.loads(PRINTED.read_text(encoding="utf-8"))
+    todo = [(page, written, line, values) for page, of in CLAIMS.items() for line in of["lines"]]
+    for name, of in EXAMPLES.items():
+        todo += [(page, shown_again, line, said[name]) for page in of["pages"] for line in of["lines"]]
+    for page, change, line, of in todo:
+        page = ROOT / page
         try:
-            made[page] = written(made.get(page) or page.read_text(encoding="utf-8"), line, values)
+            made[page] = change(made.get(page) or page.read_text(encoding="utf-8"), line, of)
         except ValueError as fault:
             raise ValueError(f"{page.name}: {fault}") from fault
     return made

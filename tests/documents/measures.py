@@ -1,7 +1,9 @@
 """What `make docs ARGS='--measure ...'` runs: a command for each result, and which of its numbers pages quote."""
 
 import json
+import os
 import shutil
+import subprocess
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -12,7 +14,7 @@ import pandas as pd
 
 import slamref
 from eval.referee.consistency import FIT
-from tests.documents.measured import ROOT, STORE, stored
+from tests.documents.measured import EXAMPLES, PRINTED, ROOT, STORE, stored
 
 SHARED = ROOT.parent / "shared" / "data"
 WORK = ROOT / "build" / "measured"
@@ -91,14 +93,9 @@ def dataset9() -> Values:
 
 
 def intel() -> Values:
-    """The laser log of Intel Research Lab against its reference relations."""
+    """Intel Research Lab: errors over reference relations, all and the exact ones: mean, spread and heading [deg]."""
     out = slamref_run("intel", "run", str(SHARED / "intel" / "intel_raw_full.log.gz"), "--no-plots")
-    return of_relations(pd.read_csv(out / "relations.csv"))
-
-
-def of_relations(table: pd.DataFrame) -> Values:
-    """Errors over reference relations, all and the exact ones: mean, spread and heading [deg]."""
-    table, found = table[table.tie == "row"], {}
+    table, found = pd.read_csv(out / "relations.csv").query("tie == 'row'"), {}
     for name, estimator, phase in (("odometry", "dead-reckoning", "online"), ("ekf", "ekf", "online"),
                                    ("batch", "batch", "final")):  # fmt: skip
         rows = table[(table.estimator == estimator) & (table.phase == phase)].set_index("subset")
@@ -179,35 +176,30 @@ def sound() -> Values:
     return found
 
 
-def first() -> Values:
-    """`slamref run arena:0`."""
-    table = metrics(slamref_run("first", "run", "arena:0", "--no-plots"))
-    names = ("ekf", "batch")
-    found = of_estimators(table, "rmse_position_m", names) | of_estimators(table, "nees_pose", names, "_nees")
-    return found | of_estimators(table, "nis", names, "_nis")
-
-
-def people() -> Values:
-    """A corridor with people by nearest neighbour: the example of wrong pairings."""
-    words = ("--task", "slam", "--estimator", "ekf,batch", "--association", "nn", "--no-plots")
-    out = slamref_run("people", "run", "corridor:1:people", *words)
-    table, names = metrics(out), ("ekf", "batch")
-    found = of_estimators(table, "rmse_position_m", names) | of_estimators(table, "nees_pose", names, "_nees")
-    row = pd.read_csv(out / "association.csv").iloc[0]
-    paired = float(row.tp + row.fp)
-    found |= {"wrong": float(row.fp), "paired": paired, "percent": 100.0 * row.fp / paired}
-    return found | of_estimators(table, "nis", names, "_nis")
+def printed(name: str) -> None:
+    """Store what the command of an example prints."""
+    folder = WORK / "printed" / name
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    where = {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "ROOT": str(ROOT)}
+    command = ["bash", "-c", EXAMPLES[name]["command"]]
+    done = subprocess.run(command, cwd=folder, env=os.environ | where, stdout=subprocess.PIPE, text=True)
+    said = json.loads(PRINTED.read_text(encoding="utf-8"))
+    text = json.dumps(said | {name: done.stdout}, indent=1, sort_keys=True, ensure_ascii=False)
+    PRINTED.write_text(text + "\n", encoding="utf-8")
 
 
 MEASURES: dict[str, Callable[[], Values]] = {
-    measure.__name__: measure
-    for measure in (arena, circle, dataset9, intel, visual, victoria, corridor, sound, first, people)
+    measure.__name__: measure for measure in (arena, circle, dataset9, intel, visual, victoria, corridor, sound)
 }
 
 
 def measure(names: Iterable[str]) -> None:
     """Run these and store their numbers, to six digits."""
     for name in names:
+        if name in EXAMPLES:
+            printed(name)
+            continue
         values = {key: float(f"{value:.6g}") for key, value in MEASURES[name]().items()}
         found = stored() if STORE.exists() else {}
         found[name] = values

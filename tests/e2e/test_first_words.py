@@ -1,7 +1,7 @@
 """The word about the innovations is right: as large as claimed where the noise is, larger or smaller where it is not.
 
 600 worlds, a third each with labels, `jcbb` and `jcbb-hindsight`; filter and smoother each have their word. The table
-that was measured is in docs/verdicts.md.
+that was measured is in docs/notes/verdict-rules.md.
 """
 
 from collections import Counter

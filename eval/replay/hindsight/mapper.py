@@ -1,4 +1,4 @@
-"""SLAM without labels, decisions in hindsight: the nine steps of `docs/hindsight.md`, in their order.
+"""SLAM without labels, decisions in hindsight: the nine steps of `docs/notes/hindsight-steps.md`, in their order.
 
 The deciding filter always estimates systematic errors (`ekf.systematic`), because decisions depend on the possible
 drift of the odometry. Every estimator gets the decisions, none gets the filter's estimate. A filter drops or merges

@@ -133,6 +133,15 @@ def test_the_story_of_the_docs(tmp_path, monkeypatch, capsys):
     assert convert(["wrong" if w == "robot" else w for w in wrong]) == 0
     assert asked in capsys.readouterr().out
     assert (tmp_path / "report" / "figures" / "robot-slam-claims.png").exists()
+    (last,) = re.findall(r"`(robot, slam: .*)`", DOCS.read_text(encoding="utf-8"))
+    assert last in said[-1]
+    assert last in (DOCS.parent / "verdicts.md").read_text(encoding="utf-8")
+    for n, row, found in re.findall(r"^\| (\d) \| (.*) \| (.*) \|$", DOCS.read_text(encoding="utf-8"), re.MULTILINE):
+        flags = shlex.split(" ".join(re.findall(r"`(--[^`]+)`", row)))
+        assert convert([f"mended{n}" if w == "robot" else w for w in shlex.split(commands[0])[2:]] + flags) == 0
+        assert slamref.main(["run", f"mended{n}", "--no-plots", "--out", f"report{n}"]) == 0
+        assert found in capsys.readouterr().out
+    assert n == "3"
 
 
 @pytest.mark.slow

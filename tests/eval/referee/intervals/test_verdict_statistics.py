@@ -2,7 +2,7 @@
 
 The robot drives a circle, linearized: the state is its error in x, y [m] and heading [rad], a heading error drifts
 sideways, and the error of a landmark at the centre of its view is observed in the body frame. All runs advance at once.
-The tables printed here are those of docs/verdicts.md.
+The tables printed here are those of docs/notes/verdicts.md.
 """
 
 import math

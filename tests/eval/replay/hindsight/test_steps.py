@@ -1,4 +1,4 @@
-"""`docs/hindsight.md` and the code have the same nine steps, and every constant is in use."""
+"""`docs/notes/hindsight-steps.md` and the code have the same nine steps, and every constant is in use."""
 
 import ast
 import re
@@ -8,7 +8,7 @@ import pytest
 
 ROOT = Path(__file__).parents[4]
 HINDSIGHT = ROOT / "eval" / "replay" / "hindsight"
-PAGE = (ROOT / "docs" / "hindsight.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "notes" / "hindsight-steps.md").read_text(encoding="utf-8")
 STEPS = dict(re.findall(r"^(\d)\. (\*\*.*?)(?=^\d\. |^$)", PAGE, flags=re.M | re.S))
 
 
