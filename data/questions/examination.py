@@ -294,6 +294,7 @@ class Explained:
     fits: float
     left: bool  # whether parts still contradict each other
     poor: float = POOR  # largest difference that it may leave
+    only: tuple[float, float] | None = None  # s, the part of the log in which it is so; None: in all
     noise: float = 0.0  # of the witness as read otherwise, by what is stated
 
 
@@ -344,7 +345,7 @@ class Examination:
                     witness, best = name, (f.off, g.off, more, g.noise)
         poor = max(NEAREST, LEFT * best[3]) if alone and witness.startswith(OBSERVATIONS) else POOR
         poor *= worst <= max(POOR, 4.0 * best[0])  # a small contradiction beside a large one
-        return Explained((*self.before, r), gain, sharp, witness, best[0], best[1], left, poor, best[3])
+        return Explained((*self.before, r), gain, sharp, witness, best[0], best[1], left, poor, None, best[3])
 
     def searched(self, kind: str, of: str, change: Callable[[float], Callable[[Case], Case]], grid: Array) -> Explained:
         """The best of a reading's numbers, between those of a grid."""
@@ -646,10 +647,20 @@ def _doubled(x: Examination) -> list[Explained]:
     c = x.case
     rows = np.column_stack([c.frame, c.z, c.id if c.id is not None else 0 * c.frame])
     share = 1.0 - len(np.unique(rows, axis=0)) / len(rows) if len(rows) else 0.0
-    return _told(DOUBLED, OBSERVATIONS, ROWS, share) if share > TWICE else []
+    if share > TWICE:
+        return _told(DOUBLED, OBSERVATIONS, ROWS, share)
+    rows, order = rows[:, 1:], np.lexsort((c.at, *rows[:, 1:].T))
+    same = np.flatnonzero((rows[order[1:]] == rows[order[:-1]]).all(axis=1))
+    later = np.round(c.at[order[same + 1]] - c.at[order[same]], 3)
+    lag, times = np.unique(later[later > LAPSE], return_counts=True)
+    if not len(lag) or (share := float(times.max()) / len(rows)) <= TWICE:
+        return []
+    return _told(DOUBLED, OBSERVATIONS, ROWS, share, number=float(lag[times.argmax()]))
 
 
-TWICE = 0.1  # Least share of repeated observations; sensors that measure twice the same have none
+TWICE, LAPSE = 0.1, 5.0
+"""Least share of repeated observations; sensors that measure twice the same have none. Seconds after which a row of the
+same numbers is the same one, and no robot that stands still."""
 
 
 def _headings(x: Examination, *, explained: bool) -> list[Explained]:
@@ -793,8 +804,10 @@ def _share(
 TINY, SURE = 1e-6, 3.0  # m, least standard deviation of a motion; sigmas from which on a step's turn is no noise
 
 
-def explanations(c: Case) -> list[Explained]:
-    """The readings that explain most what does not fit, equal ones together; none of a sound log."""
+def explanations(c: Case, *, whole: bool = True) -> list[Explained]:
+    """The readings that explain most what does not fit, equal ones together; none of a sound log. `whole`: of which
+    one half may be sound.
+    """
     s = witnesses.samples(c)
     x = Examination(c, s)
     if minutes := _minutes(c):
@@ -803,6 +816,8 @@ def explanations(c: Case) -> list[Explained]:
         return twice or _by_size(x) or (_strange(x) if c.names is not None else []) or _order(x)
     singles = sorted(x.plain(), key=lambda e: -e.gain)
     found = [e for e in singles if accepted(e)]
+    if whole and (not found or found[0].left) and (part := _in_part(c)):
+        return part
     spins = bool(fastest(c.time, c.u[1:, 2]))
     if spins:  # between frames a turn in degrees has hidden the way
         found = [e for e in found if "omega" in e.readings[0].of]
@@ -855,6 +870,27 @@ def explanations(c: Case) -> list[Explained]:
     return [] if smaller > 1 and not spins else result  # no turn at all fits as well: something else is wrong
 
 
+def _in_part(c: Case) -> list[Explained]:
+    """What explains one half of a log whose other half is sound."""
+    middle = 0.5 * float(c.time[0] + c.time[-1])
+    wrong = []
+    for before in (True, False):
+        rows = np.flatnonzero((c.at < middle) == before)
+        known = None if c.truth is None else np.where(((c.truth_time < middle) == before)[:, None], c.truth, np.nan)
+        half = replace(c, frame=c.frame[rows], at=c.at[rows], z=c.z[rows], R=c.R[rows], truth=known,
+                       id=None if c.id is None else c.id[rows])  # fmt: skip
+        x = Examination(half, witnesses.samples(half))
+        if not any(f is not None for fits in x.said.values() for f in fits):
+            return []
+        if not x.sound:
+            span = (float(c.time[0]), middle) if before else (middle, float(c.time[-1]))
+            wrong.append((half, span))
+    if len(wrong) != 1:
+        return []
+    half, span = wrong[0]
+    return [replace(e, only=span) for e in explanations(half, whole=False) if e.witness != SIZE]
+
+
 def _as_well(e: Explained, best: Explained) -> bool:
     """Whether a reading explains as much as the best, or has a unit that is too near to be told from its."""
     r, q = e.readings[-1], best.readings[-1]
@@ -874,8 +910,9 @@ def contradictions(log: Log) -> list[Notice]:
     readings = best.readings if together else tuple(e.readings[0] for e in found)
     readings = tuple(_of_rows(r, log) for r in readings)
     readings += _held(readings[0], log) if len(readings) == 1 else ()
-    placed = any(r.of == "place of the sensor" for r in readings)  # which has its turn, too
-    each = [() if placed and r.of == "sensor" else flags_of(r, log) for r in readings]
+    placed = any(r.of == "place of the sensor" for r in readings)
+    # a flag mends all of a log, and the sensor's place has its turn, too
+    each = [() if best.only or (placed and r.of == "sensor") else flags_of(r, log) for r in readings]
     values = dict[str, list[str]]()  # of each flag, of all readings that hold together
     for name, _, value in (f.partition(" ") for fs in each[: len(readings) if together else 1] for f in fs):
         values.setdefault(name, []).extend([value] * bool(value))
@@ -884,7 +921,7 @@ def contradictions(log: Log) -> list[Notice]:
     others = () if together else tuple(" ".join(f) for f in each[1:])
     return [notice(
         Code.CONTRADICTION, kinds=kinds, of=of, units=units, numbers=numbers, together=together, witness=best.witness,
-        gain=best.gain, stated=best.stated, fits=best.fits, flags=flags, others=others,
+        gain=best.gain, stated=best.stated, fits=best.fits, flags=flags, others=others, only=best.only,
     )]  # fmt: skip
 
 
