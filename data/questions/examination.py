@@ -888,7 +888,7 @@ def _in_part(c: Case) -> list[Explained]:
     if len(wrong) != 1:
         return []
     half, span = wrong[0]
-    return [replace(e, only=span) for e in explanations(half, whole=False) if e.witness != SIZE]
+    return [replace(e, only=span) for e in explanations(half, whole=False) if e.witness != SIZE and e.stated > NEAREST]
 
 
 def _as_well(e: Explained, best: Explained) -> bool:
