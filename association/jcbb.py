@@ -48,6 +48,17 @@ class Given(NamedTuple):
 
 
 @njit
+def _unconditioned(m: int, C: Array) -> Given:
+    """The candidates before any of m observations is paired."""
+    k = len(C) // 2
+    given = Given(np.empty((m, k, 2, 2)), np.zeros((m + 1, k, 2)), np.empty((m + 1, k, 3)))
+    for j in range(k):
+        given.D[0, j, 0], given.D[0, j, 1] = C[2 * j, 2 * j], C[2 * j + 1, 2 * j]
+        given.D[0, j, 2] = C[2 * j + 1, 2 * j + 1]
+    return given
+
+
+@njit
 def _pairings(compatible: BoolArray) -> tuple[IntArray, IntArray]:
     """Compatible pairs by observation, those of i from `first[i]` to `first[i + 1]`, and each one's candidate."""
     m, k = compatible.shape
@@ -128,10 +139,7 @@ def search_best(
     m, k = compatible.shape
     first, candidate = _pairings(compatible)
     pairs = first[m]
-    given = Given(np.empty((m, k, 2, 2)), np.zeros((m + 1, k, 2)), np.empty((m + 1, k, 3)))
-    for j in range(k):
-        given.D[0, j, 0], given.D[0, j, 1] = C[2 * j, 2 * j], C[2 * j + 1, 2 * j]
-        given.D[0, j, 2] = C[2 * j + 1, 2 * j + 1]
+    given = _unconditioned(m, C)
     made, d2 = np.zeros(m + 1, np.int64), np.zeros(m + 1)  # by depth: pairings and joint distance
     chosen, branch, branches = np.empty(m + 1, np.int64), np.zeros(m + 1, np.int64), np.zeros(m + 1, np.int64)
     order = np.empty((m + 1, k), np.int64)
@@ -254,9 +262,8 @@ def search_first(
     be given to two observations. A branch that can only equal the best is cut. Returns as `search_best`.
     """
     m, k = compatible.shape
-    L, w = np.zeros((2 * m, 2 * m)), np.empty(2 * m)
+    given, everything = _unconditioned(m, C), np.ones(k, np.bool_)
     made, d2, branch = np.zeros(m + 1, np.int64), np.zeros(m + 1), np.zeros(m + 1, np.int64)
-    row = np.empty(m, np.int64)  # candidate of each pairing made
     choice, best_choice = np.empty(m, np.int64), np.empty(m, np.int64)
     for i in range(m):
         choice[i] = best_choice[i] = UNPAIRED
@@ -284,34 +291,13 @@ def search_first(
             continue
         made[t + 1], d2[t + 1] = q, d2[t]
         if j < k:
-            n = 2 * q
-            for a in range(2):
-                for p in range(q):
-                    for b in range(2):
-                        total = C[2 * j + a, 2 * row[p] + b]
-                        for c in range(2 * p + b):
-                            total -= L[n + a, c] * L[2 * p + b, c]
-                        L[n + a, 2 * p + b] = total / L[2 * p + b, 2 * p + b]
-            x, y = nu[t, j, 0], nu[t, j, 1]
-            s00, s10 = C[2 * j, 2 * j] + R[t, 0, 0], C[2 * j + 1, 2 * j] + R[t, 1, 0]
-            s11 = C[2 * j + 1, 2 * j + 1] + R[t, 1, 1]
-            scale_a, scale_c = s00, s11
-            for c in range(n):
-                x -= L[n, c] * w[c]
-                y -= L[n + 1, c] * w[c]
-                s00 -= L[n, c] * L[n, c]
-                s10 -= L[n + 1, c] * L[n, c]
-                s11 -= L[n + 1, c] * L[n + 1, c]
-            l00, l10, l11 = _factor(s00, s10, s11, scale_a, scale_c)
+            x, y, l00, _, _ = _whitened(t, j, q, nu, R, given)
             if l00 == 0.0:
                 return best_choice, best_d2, best, nodes, SINGULAR_JOINT
-            w[n] = x / l00
-            w[n + 1] = (y - l10 * w[n]) / l11
-            distance = d2[t] + w[n] * w[n] + w[n + 1] * w[n + 1] + unlike[t, j]
+            distance = d2[t] + x * x + y * y + unlike[t, j]
             if not distance < thresholds[q + 1]:
                 continue
-            L[n, n], L[n + 1, n], L[n + 1, n + 1] = l00, l10, l11
-            row[q] = j
+            _condition(t, j, q, nu, C, R, given, everything)
             choice[t] = j
             made[t + 1], d2[t + 1] = q + 1, distance
         nodes += 1

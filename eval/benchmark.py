@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from data.command import Command
 from data.errors import unknown
-from data.terminal import ended
+from data.terminal import ending
 
 if TYPE_CHECKING:
     from eval.benchmarks.speed import Timed
@@ -21,12 +21,9 @@ TABLES = ("localization", "victoria-park", "association", "hindsight", "study")
 EXAMPLES = "examples:\n  python -m eval.benchmark --only localization,association --out speed.csv"
 
 
-def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+@ending("interrupted; tables and files written so far are complete")
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
-    return ended(lambda: _benchmark(argv, prog), "interrupted; tables and files written so far are complete")
-
-
-def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
     p = Command(prog, PROG, "Time the estimators and their peers in the same run.", EXAMPLES)
 
     def asked(text: str) -> list[str]:

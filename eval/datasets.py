@@ -13,7 +13,7 @@ from typing import Any
 
 from data.command import Command
 from data.errors import UsageError
-from data.terminal import INTERRUPTED, ended, in_columns
+from data.terminal import INTERRUPTED, ending, in_columns
 from eval.run_all import main as run_main
 
 PROG = "python -m eval.datasets"
@@ -23,13 +23,21 @@ ABOUT = "List public data sets: page, licence as stated there, digest of our cop
 ALL = "Run every public data set that a folder has, and write one table, datasets.csv."
 
 
-def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+@ending()
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
     parser = Command(prog, PROG, ABOUT, f"example:\n  {PROG}")
     parser.read(argv)
-    return ended(_list)
+    for entry in datasets():
+        lines = [entry["title"], f"page: {entry['page']}", f"licence: {entry['licence']}"]
+        lines += [f"sha256 of our copy: {entry['sha256']}"] if "sha256" in entry else []
+        for convert, run in list(commands(entry, entry.get("file", ""), "logs"))[:1]:
+            lines += [f"slamref convert {shlex.join(convert)}"] if convert else []
+            lines += [f"slamref run {shlex.join(run)}"]
+        sys.stdout.write("\n  ".join([entry["name"], *lines]) + "\n")
 
 
+@ending()
 def study(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """`slamref study`: positional words are values of `--scenario`, but for `datasets FOLDER`."""
     if list(argv or ())[:1] != ["datasets"]:
@@ -37,7 +45,7 @@ def study(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     parser = Command(f"{prog} datasets", PROG, ALL, f"example:\n  {PROG} downloads")
     parser.add_argument("folder", metavar="FOLDER", type=Path, help="has the files that slamref datasets names")
     parser.add_argument("--out", metavar="DIR", type=Path, default=Path("results/datasets"), help="%(default)s")
-    return ended(lambda: _reproduce(**vars(parser.read(list(argv or ())[1:]))))
+    return _reproduce(**vars(parser.read(list(argv or ())[1:])))
 
 
 def datasets() -> list[dict[str, Any]]:
@@ -56,16 +64,6 @@ def commands(entry: dict[str, Any], file: str, out: str) -> Iterator[tuple[list[
         places = {"file": file, "log": log, "each": each}
         convert = [word.format(**places) for word in entry.get("convert", "").split()]
         yield convert, [log if convert else entry.get("log", file), *entry.get("run", RUN).split()]
-
-
-def _list() -> None:
-    for entry in datasets():
-        lines = [entry["title"], f"page: {entry['page']}", f"licence: {entry['licence']}"]
-        lines += [f"sha256 of our copy: {entry['sha256']}"] if "sha256" in entry else []
-        for convert, run in list(commands(entry, entry.get("file", ""), "logs"))[:1]:
-            lines += [f"slamref convert {shlex.join(convert)}"] if convert else []
-            lines += [f"slamref run {shlex.join(run)}"]
-        sys.stdout.write("\n  ".join([entry["name"], *lines]) + "\n")
 
 
 def _reproduce(folder: Path, out: Path) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 from data import se2
 from data.command import Command
 from data.errors import UsageError
-from data.terminal import ended
+from data.terminal import ending
 from data.whole import whole_folder
 from eval.plan.flags import TEXTS, texts_of
 
@@ -17,14 +17,12 @@ PROG = "python -m eval.example"
 COMMANDS = (TEXTS / "example.sh").read_text(encoding="utf-8")
 
 
-def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+@ending()
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
     parser = Command(prog, PROG, *texts_of("example"))
     parser.add_argument("folder", metavar="DIR", type=Path, help="new folder for the files")
-    return ended(lambda: _example(**vars(parser.read(argv))))
-
-
-def _example(folder: Path) -> None:
+    folder: Path = parser.read(argv).folder
     if folder.exists():
         raise UsageError(f"{folder} exists; name a new folder")
     with whole_folder(folder) as made:

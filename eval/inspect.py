@@ -6,25 +6,23 @@ from pathlib import Path
 
 from data.command import Command
 from data.errors import UsageError
-from data.terminal import ended
+from data.terminal import ending
 from eval.plan.flags import texts_of
 
 PROG = "python -m eval.inspect"
 PICTURES = (".png", ".pdf")
 
 
-def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+@ending()
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
     parser = Command(prog, PROG, *texts_of("inspect"))
     named = "an open log folder, a CARMEN log, or a name: victoria-park, arena:SEED, corridor:SEED[:KEYS]"
     other = "of any other recording it names the command that converts it"
     parser.add_argument("log", metavar="LOG", help=f"{named}; {other}")
     parser.add_argument("--plot", metavar="FILE", type=Path, help="plot the log (.png or .pdf)")
-    return ended(lambda: _inspect(**vars(parser.read(argv))))
-
-
-def _inspect(log: str, plot: Path | None) -> None:
-    """Print the summary; plot the log to `plot`, if given."""
+    options = parser.read(argv)
+    plot: Path | None = options.plot
     if plot is not None and plot.suffix not in PICTURES:
         raise UsageError(f"--plot {plot}: a file name that ends in {' or '.join(PICTURES)} is needed")
     from data.logs import open_log
@@ -32,7 +30,7 @@ def _inspect(log: str, plot: Path | None) -> None:
     from data.questions.summary import summarize
     from data.words import sentence, title
 
-    opened = open_log(log)
+    opened = open_log(options.log)
     lines = summarize(opened)
     lines += [("question", f"{title(question)}: {sentence(question)}") for question in ask(opened)]
     width = max(len(key) for key, _ in lines)
@@ -48,20 +46,18 @@ def _inspect(log: str, plot: Path | None) -> None:
             raise UsageError(f"--plot {plot}: cannot be written: {fault.strerror}") from fault
 
 
-def problem(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+@ending("interrupted; nothing was written")
+def problem(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `slamref report-problem`; returns its exit status."""
     parser = Command(prog, PROG, *texts_of("problem"))
     parser.add_argument("input", metavar="INPUT", nargs="+", help="LOG, a planar GRAPH.g2o, or ESTIMATE TRUTH")
     parser.add_argument("--out", metavar="FILE", type=Path, default=Path("problem.zip"), help="(default: problem.zip)")
-    return ended(lambda: _pack(**vars(parser.read(argv))), "interrupted; nothing was written")
-
-
-def _pack(input: list[str], out: Path) -> None:
+    options = parser.read(argv)
     from eval.report.problem import pack
 
-    if len(input) > 2:
-        raise UsageError(f"{len(input)} files: a log, or an estimate and its truth, are needed")
-    print(f"{pack(input, out)}\nwritten: {out.absolute()}")
+    if len(options.input) > 2:
+        raise UsageError(f"{len(options.input)} files: a log, or an estimate and its truth, are needed")
+    print(f"{pack(options.input, options.out)}\nwritten: {options.out.absolute()}")
 
 
 if __name__ == "__main__":

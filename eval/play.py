@@ -8,7 +8,7 @@ from pathlib import Path
 
 from data.command import Command
 from data.errors import UsageError
-from data.terminal import ended, message_of
+from data.terminal import ending, message_of
 from eval.plan.flags import texts_of
 from eval.plan.flags.options import options_of
 from eval.plan.flags.table import FIRST_FRAMES, Options, add_flags
@@ -48,12 +48,10 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Namespace:
     return Namespace(**given | {"frames": frames}, options=options_of(stated), stated=stated)
 
 
-def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+@ending()
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
-    return ended(lambda: _play(read(argv, prog)))
-
-
-def _play(wish: Namespace) -> None:
+    wish = read(argv, prog)
     from data.log import folder_name, shortened
     from data.logs import open_scored
     from data.questions.asked import truth_windows

@@ -2,11 +2,10 @@
 
 import sys
 from collections.abc import Sequence
-from typing import Any
 
 from data.command import Command
 from data.errors import UsageError
-from data.terminal import counted, ended
+from data.terminal import counted, ending
 from eval.plan.flags import texts_of
 from eval.plan.flags.table import Scoring, add_flags
 from eval.replay.flag import read_values, rows
@@ -14,19 +13,16 @@ from eval.replay.flag import read_values, rows
 PROG = "python -m eval.score"
 
 
-def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+@ending()
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
     parser = Command(prog, PROG, *texts_of("score"))
-    files = "ESTIMATE TRUTH, or estimates alone with --truth, or a table with both (x_est, x_gt)"
-    parser.add_argument("files", metavar="FILE", nargs="+", help=files)
+    text = "ESTIMATE TRUTH, or estimates alone with --truth, or a table with both (x_est, x_gt)"
+    parser.add_argument("files", metavar="FILE", nargs="+", help=text)
     truth = "one truth for all estimates, or one for each, in order"
     parser.add_argument("--truth", metavar="FILE", nargs="+", default=[], help=truth)
     add_flags(parser, rows(Scoring).values())
     given = vars(parser.read(argv))
-    return ended(lambda: _score(given))
-
-
-def _score(given: dict[str, Any]) -> None:
     from data.formats.results.reading import holds_both
     from eval.report.results import printed
 

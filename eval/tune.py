@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 import os
 import sys
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from data.command import Command
 from data.errors import DataError, UsageError
-from data.terminal import counted, ended, in_columns
+from data.terminal import counted, ending, in_columns
 from eval.plan.flags import texts_of
 from eval.plan.flags.table import KEEP_TRUTH
 from eval.replay.flag import probability_or_auto
@@ -25,7 +24,8 @@ if TYPE_CHECKING:
 PROG = "python -m eval.tune"
 
 
-def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+@ending("interrupted; nothing was written")
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
     parser = Command(prog, PROG, *texts_of("tune"))
     parser.add_argument("log", metavar="LOG", help="an open log folder with labels, or a name: arena:SEED, ...")
@@ -34,19 +34,15 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
         "parameters to fit: of motion,sensor,bias,odometry,latency,growth, where growth is an exponent of range sigma "
         "over range (default: all but growth)"
     )
-    gate = (
+    beyond = (
         "reject pairings beyond this chi-square probability under the stated noise, or none, or auto (default): "
         f"{SENSED_GATE} where a sensor read the labels, else none"
     )
     parser.add_argument("--fit", metavar="GROUPS", help=groups)
-    parser.add_argument("--gate", default="auto", metavar="P", help=gate)
+    parser.add_argument("--gate", default="auto", metavar="P", help=beyond)
     parser.add_argument("--keep-truth", action="store_true", help=KEEP_TRUTH)
     parser.add_argument("--use", metavar="TUNED", type=Path, help="apply the values of this tuned log, without a fit")
-    return ended(lambda: _run(parser.read(argv)), "interrupted; nothing was written")
-
-
-def _run(options: argparse.Namespace) -> None:
-    """Tune, write the copy and print the report."""
+    options = parser.read(argv)
     from threadpoolctl import threadpool_limits
 
     from data.formats.open_log import write_folder

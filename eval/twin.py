@@ -1,20 +1,20 @@
 """`slamref twin LOG OUT --seed S`: draw a bootstrap replicate of a log, as an open log folder with a true path."""
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from data.command import Command, count
 from data.errors import UsageError
-from data.terminal import counted, ended
+from data.terminal import counted, ending
 from eval.plan.flags import texts_of
 from eval.replay.settings import ASSOCIATIONS, TASKS
 
 PROG = "python -m eval.twin"
 
 
-def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+@ending("interrupted; nothing was written")
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
     parser = Command(prog, PROG, *texts_of("twin"))
     parser.add_argument("log", metavar="LOG", help="an open log folder, or a name: victoria-park, arena:SEED, ...")
@@ -24,11 +24,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     parser.add_argument("--task", choices=TASKS, help=task)
     default = "(default: known where LOG has labels, jcbb for walls, else jcbb-hindsight)"
     parser.add_argument("--association", metavar="NAME", help=f"of {', '.join(ASSOCIATIONS)}, or your own {default}")
-    return ended(lambda: _run(parser.read(argv)), "interrupted; nothing was written")
-
-
-def _run(options: argparse.Namespace) -> None:
-    """Estimate, draw and write the twin; print a summary."""
+    options = parser.read(argv)
     from dataclasses import replace
 
     from data.formats.open_log import write_folder

@@ -6,19 +6,17 @@ import time
 from collections.abc import Sequence
 
 from data.command import Command
-from data.terminal import ended
+from data.terminal import ending
 
 PROG = "python -m eval.warm"
 
 
-def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+@ending("interrupted; compiled kernels are kept")
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
     p = Command(prog, PROG, "Compile all kernels into the cache.")
     p.add_argument("--background", action="store_true", help="at low priority, unless another process compiles; silent")
-    return ended(lambda: _warm(**vars(p.read(argv))), "interrupted; compiled kernels are kept")
-
-
-def _warm(background: bool) -> None:
+    background: bool = p.read(argv).background
     if background:
         os.nice(19)
     from data.compiled import base

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from data.command import COMPLETION, Parser, complete
 from data.convert import bag, g2o, mrclam, named, table
-from data.terminal import ended
+from data.terminal import ending
 from data.wing import wings
 from data.worlds.registry import SIMULATORS
 
@@ -45,12 +45,9 @@ def parser(*, simulators: bool = True, prog: str = PROG) -> argparse.ArgumentPar
     return top
 
 
-def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+@ending("interrupted; nothing was written")
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """Convert and report; 0, or 2 with one line on stderr."""
-    return ended(lambda: _convert(argv, prog), "interrupted; nothing was written")
-
-
-def _convert(argv: Sequence[str] | None, prog: str) -> None:
     given = list(sys.argv[1:] if argv is None else argv)
     reader = parser(simulators=any(kind in given for kind in SIMULATORS) or COMPLETION in os.environ, prog=prog)
     complete(reader)

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from data.command import Command, count
-from data.terminal import ended
+from data.terminal import ending
 from eval.plan.flags import texts_of
 
 PROG = "slamref audit"
 
 
+@ending()
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The command `prog`; returns its exit status."""
     parser = Command(prog, PROG, *texts_of("audit"))
@@ -31,7 +32,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     parser.add_argument("--steps", metavar="N", type=count, default=30, help=text)
     parser.add_argument("--draws", metavar="N", type=count, default=200, help="draws of the graph (default: 200)")
     parser.add_argument("--seed", metavar="S", type=count, default=0, help="random seed (default: 0)")
-    return ended(lambda: _audit(parser.read(argv), prog))
+    return _audit(parser.read(argv), prog)
 
 
 SOON = 5.0  # s, until which no stage is told
@@ -73,7 +74,3 @@ def _audit(options: argparse.Namespace, prog: str) -> int:
         table = cured(found, options.rescale, options.draws, options.seed, options.rejected)
         sys.stdout.write(f"\n{shown(table).to_string(index=False)}\nwritten: {options.rescale.absolute()}\n")
     return int(report.rejected)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from data.command import Command
 from data.errors import DataError, UsageError
-from data.terminal import ended
+from data.terminal import ending
 from eval.plan.flags import texts_of
 
 PROG = "slamref detect"
@@ -14,18 +14,16 @@ LARGEST = 1600
 """px; longer side of the searched copy of a photo, twice that of the camera frames the detector was tuned for."""
 
 
-def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+@ending()
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
     parser = Command(prog, PROG, *texts_of("detect"))
     parser.add_argument("image", metavar="IMAGE", type=Path, help="the photo")
     reference = "an image of one whole picture, without surroundings"
     parser.add_argument("references", metavar="REFERENCE", type=Path, nargs="+", help=reference)
     parser.add_argument("--out", metavar="FILE.png", type=Path, help="write the photo with outlines of the pictures")
-    return ended(lambda: _detect(**vars(parser.read(argv))))
-
-
-def _detect(image: Path, references: Sequence[Path], out: Path | None) -> None:
-    """Print the detections; write the photo with outlines to `out`, if given."""
+    options = parser.read(argv)
+    image, references, out = options.image, options.references, options.out
     if out is not None and out.suffix.lower() != ".png":
         raise UsageError(f"--out {out}: a file name that ends in .png is needed")
     from wings.camera.detector import Detector, shrunk

@@ -7,14 +7,21 @@ from pathlib import Path
 
 from data.command import Command
 from data.errors import UsageError
-from data.terminal import ended
+from data.terminal import ending
 from wings.grade import HERE, handout
 
 PROG = "slamref grade"
 NAMES = ("corridor", "visual", "utias", "filter")
 
 
-def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+def _seeds(text: str) -> tuple[int, ...]:
+    if not all(word.isdecimal() for word in text.split(",")):
+        raise argparse.ArgumentTypeError(f"{text!r}: whole numbers with commas are needed, as in 7,8,9")
+    return tuple(map(int, text.split(",")))
+
+
+@ending()
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
     about, _, examples = (HERE / "help.txt").read_text(encoding="utf-8").partition("\n\nexamples:")
     parser = Command(prog, PROG, about, f"examples:{examples.rstrip()}")
@@ -29,16 +36,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     parser.add_argument("--jobs", metavar="N", type=int, default=1, help="submissions at a time (default: 1)")
     parser.add_argument("--handout", choices=NAMES, metavar="NAME", help="write skeleton and sheet into a folder")
     parser.add_argument("--default-weights", action="store_true", help="write the shipped weights into a file")
-    return ended(lambda: _grade(parser.read(argv)))
-
-
-def _seeds(text: str) -> tuple[int, ...]:
-    if not all(word.isdecimal() for word in text.split(",")):
-        raise argparse.ArgumentTypeError(f"{text!r}: whole numbers with commas are needed, as in 7,8,9")
-    return tuple(map(int, text.split(",")))
-
-
-def _grade(options: argparse.Namespace) -> None:
+    options = parser.read(argv)
     texts = {options.place: (HERE / "weights.toml").read_text(encoding="utf-8")} if options.default_weights else {}
     if name := options.handout:
         texts = dict(zip((options.place / "sheet.md", options.place / f"{name}.py"), handout(name), strict=True))
@@ -54,7 +52,3 @@ def _grade(options: argparse.Namespace) -> None:
         from wings.grade.classes import grade  # slow to load
 
         grade(options)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, TextIO
 
 from data.command import Parser, count
 from data.errors import UsageError
-from data.terminal import ended
+from data.terminal import ending
 
 if TYPE_CHECKING:
     from wings.robot.link import Clock
@@ -134,7 +134,9 @@ def _number(low: float, high: float) -> Callable[[str], float]:
     return convert
 
 
-def _simulate(argv: Sequence[str] | None) -> None:
+@ending()
+def main(argv: Sequence[str] | None = None) -> None:
+    """Simulate until terminated; 0, or 2 with one line on stderr."""
     args = parser().parse_args(argv)
     world = re.fullmatch(r"(walls|floorplan):([0-9]{1,9})", args.world)
     if world is None:
@@ -158,12 +160,3 @@ def _simulate(argv: Sequence[str] | None) -> None:
     with contextlib.ExitStack() as stack:
         truth = None if args.truth is None else stack.enter_context(args.truth.open("w", buffering=1))
         run(wire, stack.enter_context(Terminal(args.link)), Clock(args.speed), truth)
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Simulate until terminated; 0, or 2 with one line on stderr."""
-    return ended(lambda: _simulate(argv))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -35,7 +35,7 @@ def start(*arguments):
 
 @contextlib.contextmanager
 def simulated(path, *flags):
-    process = start("wings.robot.simulate", "--link", path, *flags)
+    process = start("data.robot.simulate", "--link", path, *flags)
     try:
         until(path.exists)
         yield process
@@ -46,7 +46,7 @@ def simulated(path, *flags):
 
 
 def ended(*flags):
-    return python("-m", "wings.robot.simulate", *flags)
+    return python("-m", "data.robot.simulate", *flags)
 
 
 def truth(path):

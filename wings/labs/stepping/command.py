@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from data.command import Command
 from data.errors import UsageError
-from data.terminal import ended
+from data.terminal import ending
 from eval.plan.flags import texts_of
 from eval.plan.flags.options import options_of
 from eval.plan.flags.table import FIRST_FRAMES, Options, add_flags
@@ -70,12 +70,10 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Namespace:
     return Namespace(**given | {"frames": frames}, options=options, stated=stated)
 
 
-def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+@ending("interrupted; files written so far are complete")
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
-    return ended(lambda: _step(read(argv, prog)), "interrupted; files written so far are complete")
-
-
-def _step(wish: Namespace) -> None:
+    wish = read(argv, prog)
     from data.log import shortened
     from data.logs import open_scored
     from data.questions.asked import truth_windows
@@ -147,7 +145,3 @@ def of_lab(log: Log, report: Path | None) -> dict[str, object]:
         if able:
             found[name] = DEFAULTS[name] if DEFAULTS.get(name) in able else able[0]
     return found
-
-
-if __name__ == "__main__":
-    sys.exit(main())

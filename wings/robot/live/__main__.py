@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import gc
 import math
-import sys
 from argparse import Namespace
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
@@ -17,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from data.command import Command
 from data.errors import UsageError
-from data.terminal import INTERRUPTED, WRONG, ended, unread
+from data.terminal import INTERRUPTED, WRONG, ending, unread
 from eval.plan.flags import texts_of
 from eval.plan.flags.options import options_of
 from eval.plan.flags.table import Options, add_flags
@@ -137,11 +136,6 @@ def _check(wish: Namespace) -> None:
             raise UsageError(f"--estimator {other[0]}: --association {SCAN} has {SCAN_ESTIMATOR} alone")
 
 
-def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """The whole command, called `prog`; returns the exit status."""
-    return ended(lambda: _live(read(argv, prog)))
-
-
 def say(text: str) -> None:
     """Print a line; a closed terminal does not end the drive."""
     try:
@@ -151,7 +145,10 @@ def say(text: str) -> None:
             raise
 
 
-def _live(wish: Namespace) -> int:
+@ending()
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+    """The whole command, called `prog`; returns the exit status."""
+    wish = read(argv, prog)
     from wings.robot.live.drive import Presses
 
     say("getting ready ...")
@@ -264,7 +261,3 @@ def report_words(wish: Namespace) -> list[str]:
         if row.name in wish.given:
             words += row.words(row.of(wish.options))
     return words
-
-
-if __name__ == "__main__":
-    sys.exit(main())
