@@ -400,17 +400,16 @@ class Examination:
                 far = min(0.95 * float(c.time[-1] - c.time[0]), FARTHEST)
                 told = accepted(near) and not near.left and abs(near.readings[-1].number) < CLOCKS[-1]
                 wide = np.arange(-far, far, 2.0 * (CLOCKS[1] - CLOCKS[0]))
-                if self.before or far <= CLOCKS[-1]:
-                    yield near
-                elif len(c.z) and by_nearest(c, self.samples):  # much fits, nearby too
-                    other = self.far_clock(part, of, wide)
-                    yield near if other is None or (told and other.sharp < near.sharp + CLEAR) else other
-                else:
-                    yield near if told else self.searched(CLOCK, part, of, wide)
+                told = told or bool(self.before) or far <= CLOCKS[-1] or (len(c.z) > 0 and by_nearest(c, self.samples))
+                yield near if told else self.searched(CLOCK, part, of, wide)
 
-    def far_clock(self, part: str, of: Callable[[float], Callable[[Case], Case]], wide: Array) -> Explained | None:
+    def far_clock(self, part: str) -> Explained | None:
         """The offset that stands out of all others without ids, by which much fits; of laps the least."""
-        step = 0.25 * float(wide[1] - wide[0])
+        c, step = self.case, 0.5 * float(CLOCKS[1] - CLOCKS[0])
+        far = min(0.95 * float(c.time[-1] - c.time[0]), FARTHEST)
+        if not len(c.z) or not by_nearest(c, self.samples) or far <= CLOCKS[-1] or not self._told(part):
+            return None
+        wide, of = np.arange(-far, far, 4.0 * step), partial(_late, part)
         each = [self.judged(Reading(CLOCK, part, of(x), "", x)) for x in wide.tolist()]
         sharp = np.array([e.sharp for e in each])
         peaks = np.flatnonzero((sharp[1:-1] >= sharp[:-2]) & (sharp[1:-1] >= sharp[2:])) + 1
@@ -832,6 +831,10 @@ def explanations(c: Case, *, whole: bool = True) -> list[Explained]:
     if not found or found[0].left:
         singles = sorted([*singles, *x.numbered()], key=lambda e: -e.gain)
         found = [e for e in singles if accepted(e)]
+    near = bool(found) and (found[0].readings[0].kind, found[0].readings[0].of) == (CLOCK, OBSERVATIONS)
+    if not found or found[0].left or near:  # without ids much fits
+        far = [e for part in (OBSERVATIONS, TRUTH) if (e := x.far_clock(part)) is not None and accepted(e)]
+        found = far if far and (not found or far[0].sharp > found[0].sharp + CLEAR) else found
     seeds = found[:1] or [e for e in singles[:3] if e.gain > CLEAR and _matters(e)]
     seeds = [e for e in seeds if e.readings[0].kind != SUMMED]  # which is half a frame late
     if not found or found[0].left:
