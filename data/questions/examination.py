@@ -504,6 +504,10 @@ def _by_size(x: Examination) -> list[Explained]:
         moved = np.hypot(c.u[1:, 0], c.u[1:, 1]) / np.diff(c.time)
         moved = moved[moved > 0.0]
         speed = float(np.median(moved)) if len(moved) >= FEWEST else 0.0
+        pull = _sideways(c) if speed > BRISK else 0.0
+        quick = c.kind != "velocities" and np.median(np.diff(c.time)) < FAST  # which are the same over any stamps
+        slower = quick and SLOW <= speed / 60.0 <= BRISK and GRAVITY < pull < 3600.0 * GRAVITY
+        minutes = _told(UNIT, "everything", SIZE, speed, speed / 60.0, "min", 1.0) if slower else []
         tiny = 0.0 < speed < CREEP and float(c.z[:, 0].max(initial=0.0)) < CLOSE_BY
         over = _over_noise(c, x.samples) if speed > BRISK or tiny else 1.0
         if tiny:
@@ -516,13 +520,12 @@ def _by_size(x: Examination) -> list[Explained]:
             told = [_told(UNIT, "everything", SIZE, speed, METRES[u] * speed, u, over)[0] for u in units]
             noise = [1.0 if over == 1.0 else over * METRES[u] for u in units]  # over the stated one
             fine = [SLOW <= e.fits <= BRISK and 0.1 < n < 2.0 for e, n in zip(told, noise, strict=True)]
-            return told[:1] + [e for e, likely in zip(told[1:], fine[1:], strict=True) if likely]
-        if speed > BRISK and (pull := _sideways(c)) > GRAVITY:
-            # errors as large as stated are those of metres; velocities are the same over any stamps
-            metres = [("cm", 1e-2, 1), ("mm", 1e-3, 1), ("in", METRES["in"], 1)] if over == 1.0 or over > LEFT else []
-            minutes = [("min", 1.0 / 60.0, 2)] if c.kind != "velocities" and np.median(np.diff(c.time)) < FAST else []
-            slow = [(u, k) for u, k, n in metres + minutes if SLOW <= k * speed <= BRISK and pull * k**n < GRAVITY]
-            return [_told(UNIT, "everything", SIZE, speed, k * speed, u, 1.0)[0] for u, k in slow]
+            minutes *= over <= LEFT  # errors as large as stated are those of metres
+            return told[:1] + [e for e, likely in zip(told[1:], fine[1:], strict=True) if likely] + minutes
+        if pull > GRAVITY:
+            lengths = [(u, METRES[u]) for u in ("cm", "mm", "in")] if over == 1.0 or over > LEFT else []
+            lengths = [(u, k) for u, k in lengths if SLOW <= k * speed <= BRISK and k * pull < GRAVITY]
+            return [_told(UNIT, "everything", SIZE, speed, k * speed, u, 1.0)[0] for u, k in lengths] + minutes
         true = np.zeros(1) if c.truth is None else np.nan_to_num(np.diff(c.truth[:, 2]))
         for of, turn in (("omega", c.u[1:, 2]), ("truth.theta", true)):
             if len(turn) == len(c.time) - 1 and (rate := fastest(c.time, turn)):
