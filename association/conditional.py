@@ -43,15 +43,15 @@ def conditional_innovations(e: Expectation, rows: IntArray, chosen: IntArray) ->
     Observations `rows` (k,) are paired with the candidates `chosen` (k,). Raises SingularInnovationError if their joint
     covariance is not positive definite.
     """
-    pairing = ConditionalInnovations, rows.tobytes(), chosen.tobytes()
-    found = e.formed.get(pairing)
+    pairing = rows.tobytes(), chosen.tobytes()
+    found = e.formed.conditional.get(pairing)
     if found is None:
-        found = ConditionalInnovations(np.empty((len(rows), 2)), np.empty((len(rows), 2, 2)))
+        found = np.empty((len(rows), 2)), np.empty((len(rows), 2, 2))
         nu, S = e.joint_innovation(rows, chosen)
         if not _given_others(nu.copy(), S.copy(), *found):
             raise e.singular(chosen)
-        e.formed[pairing] = found
-    return found
+        e.formed.conditional[pairing] = found
+    return ConditionalInnovations(*found)
 
 
 @njit

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -102,6 +102,14 @@ def _distances(nu: Array, HPHt: Array, R: Array, frame: IntArray, observed: IntA
     return -1
 
 
+class Formed(NamedTuple):
+    """What pairings gave before: by decisions, or by observations and candidates, as bytes."""
+
+    paired: dict[bytes, tuple[IntArray, IntArray]]  # of `Expectation.paired`
+    joint: dict[tuple[bytes, bytes], tuple[Array, Array]]  # of `Expectation.joint_innovation`
+    conditional: dict[tuple[bytes, bytes], tuple[Array, Array]]  # innovations given the others, and their information
+
+
 @dataclass(frozen=True)
 class Expectation:
     """Candidates (n) and observations (m) of a frame or a window of frames: the input of every association method.
@@ -125,7 +133,7 @@ class Expectation:
     elsewhere: Callable[[Array], Expectation] | None = None  # linearized at a pose (3,): h(pose) + H (mean - pose)
     dims: int = 2  # numbers measured of each; 1: bearings or ranges alone (see `data.sensors`)
     unlike: Unlike | None = None  # (m, n) terms of appearance in the distances; None: there is none
-    formed: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)  # of pairings before
+    formed: Formed = field(default_factory=lambda: Formed({}, {}, {}), init=False, repr=False, compare=False)
 
     @classmethod
     def from_arrays(
@@ -233,20 +241,22 @@ class Expectation:
     def paired(self, decisions: IntArray) -> tuple[IntArray, IntArray]:
         """Rows (k,) of the paired observations, and the candidates (k,) they are paired with."""
         key = decisions.tobytes()
-        if key not in self.formed:
+        found = self.formed.paired.get(key)
+        if found is None:
             rows, order = np.flatnonzero(decisions >= 0), np.argsort(self.number, kind="stable")
-            self.formed[key] = rows, order[np.searchsorted(self.number, decisions[rows], sorter=order)]
-        found: tuple[IntArray, IntArray] = self.formed[key]
+            found = rows, order[np.searchsorted(self.number, decisions[rows], sorter=order)]
+            self.formed.paired[key] = found
         return found
 
     def joint_innovation(self, rows: IntArray, chosen: IntArray) -> tuple[Array, Array]:
         """Innovation (2k,) of pairing observations `rows` with candidates `chosen`, and its covariance (2k, 2k)."""
         pairing = rows.tobytes(), chosen.tobytes()
-        if pairing not in self.formed:
+        found = self.formed.joint.get(pairing)
+        if found is None:
             S = self.joint(chosen)
             add_to_diagonal(S, self.R[rows])
-            self.formed[pairing] = self.residual(self.z[rows], self.z_hat[chosen]).ravel(), S
-        found: tuple[Array, Array] = self.formed[pairing]
+            found = self.residual(self.z[rows], self.z_hat[chosen]).ravel(), S
+            self.formed.joint[pairing] = found
         return found
 
     def singular(self, chosen: IntArray) -> SingularInnovationError:

@@ -21,29 +21,18 @@ NAMES = ", ".join(["victoria-park", *(f"{world}:SEED[:KEYS]" for world in regist
 
 @dataclass(frozen=True)
 class Reading:
-    """How logs are read.
+    """How logs are read."""
 
-    Attributes:
-        camera_translation: of a folder with images, unit of T in its configuration, `cm`, `mm` or `m`.
-        camera_reading: of R and T there, `to-camera`, p_c = R p_b + T, or `to-body`, the inverse.
-        corner_noise: of pictures' corners, `lab` or `depth`.
-        trust_pickle: read object arrays, which can run code.
-        cache: folder of detections in rendered images.
-        relations: file of a laser log's reference relations; None: the one beside it.
-        no_odometry: leave out a laser log's odometry.
-        exclude_truth: of a log that is scored, stretches of its truth to leave out [s of its recording].
-        keep_truth: windows of bad truth are scored, too.
-    """
-
-    camera_translation: str = "cm"
-    camera_reading: str = "to-camera"
-    corner_noise: str = "lab"
-    trust_pickle: bool = False
-    cache: Path | None = None
-    relations: Path | None = None
-    no_odometry: bool = False
+    camera_translation: str = "cm"  # of a folder with images, unit of T in its configuration, `cm`, `mm` or `m`
+    camera_reading: str = "to-camera"  # of R and T there, `to-camera`, p_c = R p_b + T, or `to-body`, the inverse
+    corner_noise: str = "lab"  # of pictures' corners, `lab` or `depth`
+    trust_pickle: bool = False  # read object arrays, which can run code
+    cache: Path | None = None  # folder of detections in rendered images
+    relations: Path | None = None  # file of a laser log's reference relations; None: the one beside it
+    no_odometry: bool = False  # leave out a laser log's odometry
+    # of a log that is scored, stretches of its truth to leave out [s of its recording]
     exclude_truth: tuple[tuple[float, float], ...] = ()
-    keep_truth: bool = False
+    keep_truth: bool = False  # windows of bad truth are scored, too
 
 
 def open_log(

@@ -85,6 +85,8 @@ class Code(StrEnum):
     MATCHED = "matched", INFO
     TIME_OFFSET = "time-offset", INFO
     NO_TRUTH = "no-truth", INFO
+    ALIGNED_FIRST = "aligned-first", INFO
+    QUATERNION_ORDER = "quaternion-order", INFO
     ALIGNED = "aligned", INFO
     LANDMARKS_GONE = "landmarks-gone", WARNING
     # about the files of a result and its truth

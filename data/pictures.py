@@ -57,23 +57,14 @@ class VisualFrame:
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """A picture detected in an image.
+    """A picture detected in an image."""
 
-    Attributes:
-        picture: row of `VisualSetup.corners`.
-        pixels: (4, 2) its corners in the image, u right and v down, pixel centres at whole numbers.
-        points: (4, 3) m, the corners in the camera's frame, from the stereo points.
-        inliers: matched features consistent with one homography.
-        reprojection: px, RMS distance of the inliers from the homography; NaN: unknown.
-        corner_sigma: px, largest standard deviation of a corner in any direction; NaN: unknown.
-    """
-
-    picture: int
-    pixels: Array
-    points: Array
-    inliers: int
-    reprojection: float = float("nan")
-    corner_sigma: float = float("nan")
+    picture: int  # row of `VisualSetup.corners`
+    pixels: Array  # (4, 2) its corners in the image, u right and v down, pixel centres at whole numbers
+    points: Array  # (4, 3) m, the corners in the camera's frame, from the stereo points
+    inliers: int  # matched features consistent with one homography
+    reprojection: float = float("nan")  # px, RMS distance of the inliers from the homography; NaN: unknown
+    corner_sigma: float = float("nan")  # px, largest standard deviation of a corner in any direction; NaN: unknown
 
 
 class VisualRecording(Protocol):
@@ -93,31 +84,25 @@ class VisualRecording(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Detections in a recording of N frames: D detections, ascending by frame.
+    """Detections in a recording of N frames: D detections, ascending by frame."""
 
-    Attributes:
-        time, v, omega: (N,) of the frames.
-        frame, picture, inliers: (D,); pixels (D, 4, 2), points (D, 4, 3) as in `Detection`.
-        refused: by picture, number of frames in which each reason rejected it.
-        tiles: a few frames as encoded images, with their numbers.
-        focal: px, focal length implied by the stereo points.
-        pixel_noise: px, sigma of a corner in the image. depth_noise: 1/m, k in its sigma_z = k z^2; NaN: unknown.
-        small: frames, all or every so many, as small encoded images with their numbers, for the player.
-    """
-
+    # time, v, omega: (N,) of the frames
     time: Array
     v: Array
     omega: Array
+    # frame, picture, inliers: (D,); pixels (D, 4, 2), points (D, 4, 3) as in `Detection`
     frame: IntArray
     picture: IntArray
     inliers: IntArray
     pixels: Array
     points: Array
-    refused: tuple[Mapping[str, int], ...]
-    tiles: tuple[tuple[int, bytes], ...]
-    focal: float
+    refused: tuple[Mapping[str, int], ...]  # by picture, number of frames in which each reason rejected it
+    tiles: tuple[tuple[int, bytes], ...]  # a few frames as encoded images, with their numbers
+    focal: float  # px, focal length implied by the stereo points
+    # pixel_noise: px, sigma of a corner in the image. depth_noise: 1/m, k in its sigma_z = k z^2; NaN: unknown
     pixel_noise: float
     depth_noise: float
+    # frames, all or every so many, as small encoded images with their numbers, for the player
     small: tuple[tuple[int, bytes], ...] = ()
 
     @property

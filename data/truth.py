@@ -39,21 +39,16 @@ class Relations(Locked):
 
 @dataclass(frozen=True)
 class BadTruth:
-    """A window of bad ground truth (`data.truth_windows`).
+    """A window of bad ground truth (`data.truth_windows`)."""
 
-    Attributes:
-        first, last: frames.
-        start, end: s of the log's recording (`Log.clock`), rounded outwards to ms.
-        off: median distance of observations from what the truth predicts, in robust sigmas; NaN: there are none.
-        carried: the same from what the odometry predicts; NaN: it was not needed.
-    """
-
+    # first, last: frames
     first: int
     last: int
+    # start, end: s of the log's recording (`Log.clock`), rounded outwards to ms
     start: float
     end: float
-    off: float
-    carried: float
+    off: float  # median distance of observations from what the truth predicts, in robust sigmas; NaN: there are none
+    carried: float  # the same from what the odometry predicts; NaN: it was not needed
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,7 +32,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     if len(files) == 1 and not truths and (stated or holds_both(files[0])):
         files = files * 2  # a row holds both
     files, truths = _files(files, truths)
-    scores, notes = printed(files, truths, reading)
+    scores, notes = printed(files, truths, reading, infer="align" not in given)
     sys.stdout.write(f"{scores}\n")
     sys.stderr.write("".join(f"note: {note}\n" for note in notes.splitlines()))
 

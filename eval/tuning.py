@@ -43,7 +43,7 @@ from data.sensors import RangeBearing, Sensor
 from data.timeline import truth_at
 from data.truth_windows import scored, unscored
 from ekf.whole_run import run_filter
-from eval.referee.consistency import chi2_bounds, correlated, lag1_correlation, mean_or_nan, nees
+from eval.referee.consistency import correlated, lag1_correlation, mean_or_nan, nees, nis_bounds
 from eval.referee.errors import heading_rmse_deg, position_distance, rms
 
 HALF_WIDTH = 0.3
@@ -292,7 +292,7 @@ def score(inputs: Inputs, decisions: IntArray, begin: int = 0) -> Score:
     frame = inputs.observations.frame
     r, error = lag1_correlation(run.white, frame, np.where(frame >= begin, decisions, DISCARD))
     nis = float(run.nis[begin:].sum()) / dof if dof else math.nan
-    return Score(float(run.log_likelihood[begin:].sum()), dof, nis, *chi2_bounds(dof), r, error)
+    return Score(float(run.log_likelihood[begin:].sum()), dof, nis, *nis_bounds(dof), r, error)
 
 
 Objective = Callable[[Array], float]

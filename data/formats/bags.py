@@ -236,23 +236,16 @@ class Scanned:
 
 @dataclass
 class Collected:
-    """Messages by topic.
+    """Messages by topic."""
 
-    Attributes:
-        poses: of odometry, truth and fixes, with the frames of each topic: of the header and the body's. Of a second
-            odometry the covariance is that of the velocity along, across and of the turn.
-        detections: by topic.
-        cameras: fx, fy, cx, cy by frame.
-        tree: transforms.
-        scans: of the only topic of scans.
-    """
-
+    # of odometry, truth and fixes, with the frames of each topic: of the header and the body's. Of a second odometry
+    # the covariance is that of the velocity along, across and of the turn
     poses: dict[str, list[Pose]] = field(default_factory=dict)
     frames: dict[str, tuple[str, str]] = field(default_factory=dict)
-    detections: dict[str, list[Detection]] = field(default_factory=dict)
-    cameras: dict[str, tuple[float, float, float, float]] = field(default_factory=dict)
-    tree: Tree = field(default_factory=Tree)
-    scans: Scanned = field(default_factory=Scanned)
+    detections: dict[str, list[Detection]] = field(default_factory=dict)  # by topic
+    cameras: dict[str, tuple[float, float, float, float]] = field(default_factory=dict)  # fx, fy, cx, cy by frame
+    tree: Tree = field(default_factory=Tree)  # transforms
+    scans: Scanned = field(default_factory=Scanned)  # of the only topic of scans
 
 
 def collect(path: Path, topics: Sequence[Topic]) -> Collected:
@@ -875,9 +868,12 @@ def _prior(wanted: Wanted, first: Array, true: Array | None, fixed: Sequence[_Fi
     turn = next((f for f in fixed if f.kind is FixKind.HEADING), None)
     if place is None and turn is None:
         return Prior(first, np.zeros((3, 3))), "The prior is the first pose of the odometry, exactly."
+    if place is None and turn is not None:  # of a world whose origin is free
+        mean = np.array([*first[:2], float(turn.z[0, 2]) - turn.source.rotation])
+        P = np.diag([0.0, 0.0, float(turn.covariance[0, 2, 2])])
+        return Prior(mean, P), f"The prior is the first place of the odometry, with the heading of {turn.source.name}."
     if place is None or turn is None:
-        what = "heading" if turn is None else "position"
-        raise UsageError(f"the first {what} in the frame of the fixes is unknown; --prior X,Y,THETA and --prior-sigma "
+        raise UsageError("the first heading in the frame of the fixes is unknown; --prior X,Y,THETA and --prior-sigma "
                          "SX,SY,STHETA are needed")  # fmt: skip
     theta = float(turn.z[0, 2]) - turn.source.rotation
     arm = se2.rotation(theta) @ np.array(place.source.lever)

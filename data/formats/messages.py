@@ -63,6 +63,15 @@ def file_and_word(path: Path) -> tuple[Path, str]:
     return (Path(name), word) if colon and not path.exists() and Path(name).is_file() else (path, "")
 
 
+def parts_of(path: Path) -> list[Path]:
+    """The files of a folder by name, or of FIRST+SECOND+..., the others in the folder of the first; else the one."""
+    if path.is_dir():
+        return sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith(".")) or [path]
+    first, *others = str(path).split("+")
+    each = [Path(first), *(Path(name) if Path(name).exists() else Path(first).parent / name for name in others)]
+    return [path] if path.exists() or not all(p.is_file() for p in each) else each
+
+
 def with_word(lines: list[tuple[int, str]], word: str) -> list[tuple[int, str]]:
     """The numbered lines with a word as a field, below a header of another kind; all without a word."""
     kept = [(i, line) for i, line in lines if not word or word in re.split(r"[\s,;]+", line.strip())]

@@ -54,39 +54,26 @@ FINITE = ("odometry_delay", "latency", "range_bias", "bearing_bias")
 
 @dataclass(frozen=True)
 class Calibration:
-    """Corrections and noise of odometry and camera. The defaults correct nothing; UsageError for an invalid value.
+    """Corrections and noise of odometry and camera. The defaults correct nothing; UsageError for an invalid value."""
 
-    Attributes:
-        scale_v: factor on the forward velocity of the odometry file.
-        scale_omega: factor on its angular velocity.
-        turn_limit: rad/s; largest turn rate of the robot (after `scale_omega`).
-        turn_drag: m/rad; speed lost per turn rate (as limited), without reversing.
-        midpoint_hold: a command acts from half-way between the stamp before it and its own (at most 0.5 s earlier).
-        odometry_delay: s from the stamp of a command to its effect.
-        latency: s from the exposure of an image to its stamp.
-        range_is_depth: the measured range is the depth, true range * cos(measured bearing).
-        range_scale: range_bias: m; measured range = range_scale * true range (or depth) + range_bias.
-        bearing_bias: rad; measured bearing = true bearing + bearing_bias.
-        sigma_range: m, sigma_bearing: rad, standard deviations of a corrected observation.
-        sigma_range_growth: m/m; the range sigma is sigma_range + sigma_range_growth * (corrected range).
-        motion: how odometry becomes increments, and its noise.
-    """
-
-    scale_v: float = 1.0
-    scale_omega: float = 1.0
-    turn_limit: float = math.inf
-    turn_drag: float = 0.0
+    scale_v: float = 1.0  # factor on the forward velocity of the odometry file
+    scale_omega: float = 1.0  # factor on its angular velocity
+    turn_limit: float = math.inf  # rad/s; largest turn rate of the robot (after `scale_omega`)
+    turn_drag: float = 0.0  # m/rad; speed lost per turn rate (as limited), without reversing
+    # a command acts from half-way between the stamp before it and its own (at most 0.5 s earlier)
     midpoint_hold: bool = False
-    odometry_delay: float = 0.0
-    latency: float = 0.0
-    range_is_depth: bool = False
+    odometry_delay: float = 0.0  # s from the stamp of a command to its effect
+    latency: float = 0.0  # s from the exposure of an image to its stamp
+    range_is_depth: bool = False  # the measured range is the depth, true range * cos(measured bearing)
+    # range_scale: range_bias: m; measured range = range_scale * true range (or depth) + range_bias
     range_scale: float = 1.0
     range_bias: float = 0.0
-    bearing_bias: float = 0.0
+    bearing_bias: float = 0.0  # rad; measured bearing = true bearing + bearing_bias
+    # sigma_range: m, sigma_bearing: rad, standard deviations of a corrected observation
     sigma_range: float = 0.15
     sigma_bearing: float = 0.1
-    sigma_range_growth: float = 0.0
-    motion: VelocityModel = MOTION
+    sigma_range_growth: float = 0.0  # m/m; the range sigma is sigma_range + sigma_range_growth * (corrected range)
+    motion: VelocityModel = MOTION  # how odometry becomes increments, and its noise
 
     def __post_init__(self) -> None:
         rules: tuple[tuple[str, Callable[[float], bool], tuple[str, ...]], ...] = (
@@ -381,23 +368,16 @@ def corrected_landmarks(source: Path) -> Path | None:
 
 @dataclass(frozen=True)
 class Treatment:
-    """Processing of a recording. Raises UsageError for an invalid value.
+    """Processing of a recording. Raises UsageError for an invalid value."""
 
-    Attributes:
-        start, stop: s, the wanted window (origin: see the module).
-        landmarks: file instead of the dataset's Landmark_Groundtruth.dat.
-        exclude_truth: stretches (from, to) [s] of bad truth, ends included.
-        grid: s, resample to frames this far apart, as in the classic tutorials.
-        calibration: corrections and noise of odometry and camera.
-        prior_sigma: (m, rad), standard deviations of position and heading at the start.
-    """
-
+    # start, stop: s, the wanted window (origin: see the module)
     start: float | None = None
     stop: float | None = None
-    landmarks: Path | None = None
-    exclude_truth: Sequence[tuple[float, float]] = ()
-    grid: float | None = None
-    calibration: Calibration = FROZEN
+    landmarks: Path | None = None  # file instead of the dataset's Landmark_Groundtruth.dat
+    exclude_truth: Sequence[tuple[float, float]] = ()  # stretches (from, to) [s] of bad truth, ends included
+    grid: float | None = None  # s, resample to frames this far apart, as in the classic tutorials
+    calibration: Calibration = FROZEN  # corrections and noise of odometry and camera
+    # (m, rad), standard deviations of position and heading at the start
     prior_sigma: tuple[float, float] = (0.05, 0.05)
 
     def __post_init__(self) -> None:
@@ -427,22 +407,19 @@ class Treatment:
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """What a robot recorded, corrected; times in s after `origin`, a Unix stamp.
-
-    Attributes:
-        odometry: (K, 3) instant, v, omega; truth: (G, 4) t, x, y, theta, or None.
-        at, z, seen, barcode: (M,) instants of observations, (M, 2), (M,) subjects, `UNKNOWN_BARCODE` for none, (M,).
-        first, last: s, the window of the log; notes: about it.
-    """
+    """What a robot recorded, corrected; times in s after `origin`, a Unix stamp."""
 
     robot: int
     origin: float
+    # odometry: (K, 3) instant, v, omega; truth: (G, 4) t, x, y, theta, or None
     odometry: Array
     truth: Array | None
+    # at, z, seen, barcode: (M,) instants of observations, (M, 2), (M,) subjects, `UNKNOWN_BARCODE` for none, (M,)
     at: Array
     z: Array
     seen: IntArray
     barcode: Array
+    # first, last: s, the window of the log; notes: about it
     first: float
     last: float
     notes: tuple[str, ...]

@@ -34,17 +34,13 @@ class ForwardPrior(_Stated):
 
     Step, sideways motion and turn are independent; turns to both sides are equally likely. A step of 0.5 +- 0.4 m
     covers moves of 1 m and turns in place, and excludes a metre backwards (3.75 sigma).
-
-    Attributes:
-        step_mean, step_sigma: m, along the heading of the frame before.
-        lateral_sigma: m, across it.
-        turn_sigma: rad.
     """
 
+    # step_mean, step_sigma: m, along the heading of the frame before
     step_mean: float
     step_sigma: float
-    lateral_sigma: float
-    turn_sigma: float
+    lateral_sigma: float  # m, across it
+    turn_sigma: float  # rad
 
     def increments(self, time: Array) -> Increments:
         """Increments of frames at `time` (N,); row 0 is zero."""
@@ -61,16 +57,13 @@ class ConstantVelocityPrior(_Stated):
     The mean is the arc of `velocity` and `turn_rate` between two frames; all sigmas grow in proportion to the time (in
     frames, without stamps). The velocity is stated, not estimated: as an estimate it would be a state that ties three
     poses together, and increments would differ between estimators.
-
-    Attributes:
-        velocity, velocity_sigma: m/s, along the heading.
-        lateral_sigma: m/s, across it.
-        turn_rate, turn_rate_sigma: rad/s.
     """
 
+    # velocity, velocity_sigma: m/s, along the heading
     velocity: float
     velocity_sigma: float
-    lateral_sigma: float
+    lateral_sigma: float  # m/s, across it
+    # turn_rate, turn_rate_sigma: rad/s
     turn_rate: float
     turn_rate_sigma: float
 

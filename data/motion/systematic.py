@@ -234,16 +234,11 @@ def stated_all(way: Array, errors: Array, leftwards: BoolArray) -> tuple[Array, 
 
 @dataclass(frozen=True, eq=False)
 class SensorFrame:
-    """The sensor's frame where sensor errors are estimated, else the robot's own.
+    """The sensor's frame where sensor errors are estimated, else the robot's own."""
 
-    Attributes:
-        mount: (3,) pose of the sensor on the robot (zero: the robot's own frame).
-        origin: (2,) m, centre of the world's scaling.
-        range_at, bearing_at: indices of these errors among those estimated, -1: not estimated.
-    """
-
-    mount: Array
-    origin: Array
+    mount: Array  # (3,) pose of the sensor on the robot (zero: the robot's own frame)
+    origin: Array  # (2,) m, centre of the world's scaling
+    # range_at, bearing_at: indices of these errors among those estimated, -1: not estimated
     range_at: int
     bearing_at: int
 

@@ -25,22 +25,16 @@ from data.sensors import RELATIVE_POINT
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Another way to read a log.
+    """Another way to read a log."""
 
-    Attributes:
-        kind: `UNIT`, `SIDE`, `EXCHANGED`, `CLOCK`, `TURNED`, `WORLD`, `COMPASS`, `FRAME` (place of a part in the
-            world), `SHIFTED` (ids), `STRANGE` (ids of other landmarks) or `STILL` (headings that never change).
-        of: the quantity, or the part of the log.
-        unit: of a `UNIT`; of other kinds empty.
-        number: s of a `CLOCK`, deg of `TURNED`, difference of `SHIFTED`; of a `UNIT` of all lengths, how many times as
-            large as the stated noise errors are.
-        change: the case as it is read then.
-    """
-
+    # `UNIT`, `SIDE`, `EXCHANGED`, `CLOCK`, `TURNED`, `WORLD`, `COMPASS`, `FRAME` (place of a part in the world),
+    # `SHIFTED` (ids), `STRANGE` (ids of other landmarks) or `STILL` (headings that never change)
     kind: str
-    of: str
-    change: Callable[[Case], Case]
-    unit: str = ""
+    of: str  # the quantity, or the part of the log
+    change: Callable[[Case], Case]  # the case as it is read then
+    unit: str = ""  # of a `UNIT`; of other kinds empty
+    # s of a `CLOCK`, deg of `TURNED`, difference of `SHIFTED`; of a `UNIT` of all lengths, how many times as large as
+    # the stated noise errors are
     number: float = math.nan
     carry: tuple[float, ...] = ()  # of a `FRAME` the pose by which it is moved, of `PLACED` where it is on the body
 
@@ -597,9 +591,17 @@ def heading_unit(of: str, time: Array, pose: Array, flag: str) -> list[Notice]:
     radians, or follow the course in degrees only.
     """
     known = np.isfinite(pose).all(axis=1)
-    time, pose = time[known], pose[known]
-    if len(pose) < 2 or (largest := float(np.abs(pose[:, 2]).max())) <= 1.01 * TURN:
+    largest = float(np.abs(pose[known, 2]).max(initial=0.0))
+    if largest <= 1.01 * TURN or not (in_degrees(pose) or fastest(time[known], np.diff(pose[known, 2]))):
         return []
+    return [notice(Code.HEADING_UNIT, of=of, largest=largest, flags=(flag,))]
+
+
+def in_degrees(pose: Array) -> bool:
+    """Whether headings of poses (K, 3) as they are written reach beyond a turn, and follow the way as degrees only."""
+    pose = pose[np.isfinite(pose).all(axis=1)]
+    if not np.abs(pose[:, 2]).max(initial=0.0) > 1.01 * TURN:
+        return False
     step = np.diff(pose[:, :2], axis=0)
     moves = step.any(axis=1)
     motion, heading = step[moves, 0] + 1j * step[moves, 1], 0.5 * (pose[1:, 2] + pose[:-1, 2])[moves]
@@ -607,10 +609,7 @@ def heading_unit(of: str, time: Array, pose: Array, flag: str) -> list[Notice]:
         float(np.abs(np.sum(motion * np.exp(-1j * h))) / np.abs(motion).sum()) if len(motion) >= PLENTY else 0.0
         for h in (heading, DEG * heading)
     )
-    aside = max(ASIDE, 3.0 * (1.0 - degrees))
-    if not (degrees > ALONG and 1.0 - stated > aside) and not fastest(time, np.diff(pose[:, 2])):
-        return []
-    return [notice(Code.HEADING_UNIT, of=of, largest=largest, flags=(flag,))]
+    return degrees > ALONG and 1.0 - stated > max(ASIDE, 3.0 * (1.0 - degrees))
 
 
 def _strange(x: Examination) -> list[Explained]:

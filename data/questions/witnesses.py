@@ -67,40 +67,32 @@ EXACT, LOUDEST = 1e-3, 1.0  # Least and largest noise over what is compared: rou
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """The parts of a log as they are read.
+    """The parts of a log as they are read."""
 
-    Attributes:
-        time: (N,) s of frames; u: (N, 3) increments; spread: (N, 3) their variances along, across and in heading.
-        start: (3,) first pose.
-        truth, truth_time: (N, 3) true poses, NaN where unknown, and their stamps.
-        frame, at: (M,) frame and stamp of observations; z: (M, 2) range and bearing; R: (M, 2) their variances.
-        mount: (3,) pose of the sensor on the body.
-        id: (M,) landmarks, negative where unknown; None: there are no ids.
-        names, places: (L,) and (L, 2) of the map; None: there is none.
-        cartesian: points are observed; world: bearings count from the world's x axis.
-        stamped: stamps are in s.
-        kind: of the odometry, as of tables.
-        steps: (N,) samples of velocities in each increment, of arcs; None: another order of turning is stated.
-    """
-
+    # time: (N,) s of frames; u: (N, 3) increments; spread: (N, 3) their variances along, across and in heading
     time: Array
     u: Array
     spread: Array
-    start: Array
+    start: Array  # (3,) first pose
+    # truth, truth_time: (N, 3) true poses, NaN where unknown, and their stamps
     truth: Array | None
     truth_time: Array
+    # frame, at: (M,) frame and stamp of observations; z: (M, 2) range and bearing; R: (M, 2) their variances
     frame: IntArray
     at: Array
     z: Array
     R: Array
-    mount: Array
-    id: IntArray | None
+    mount: Array  # (3,) pose of the sensor on the body
+    id: IntArray | None  # (M,) landmarks, negative where unknown; None: there are no ids
+    # names, places: (L,) and (L, 2) of the map; None: there is none
     names: IntArray | None
     places: Array | None
     world: bool = False
+    # cartesian: points are observed; world: bearings count from the world's x axis
     cartesian: bool = False
-    stamped: bool = True
-    kind: str = "velocities"
+    stamped: bool = True  # stamps are in s
+    kind: str = "velocities"  # of the odometry, as of tables
+    # (N,) samples of velocities in each increment, of arcs; None: another order of turning is stated
     steps: Array | None = None
 
     @cached_property

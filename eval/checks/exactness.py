@@ -149,43 +149,31 @@ def rules_of(bug: Bug) -> list[Rules]:
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """Candidates (n,) of observations (m,), as an association method gets them.
+    """Candidates (n,) of observations (m,), as an association method gets them."""
 
-    Attributes:
-        number: (n,) landmark numbers.
-        z_hat: (n, 2); joint: (2n, 2n), covariance of all of them, without noise; blocks: (n, 2, 2), of each.
-        innovations: (m, n, 2), wrapped; R: (m, 2, 2), noise of the observations.
-        decided: (m,) by JCBB; None: not formed.
-    """
-
-    number: IntArray
+    number: IntArray  # (n,) landmark numbers
+    # z_hat: (n, 2); joint: (2n, 2n), covariance of all of them, without noise; blocks: (n, 2, 2), of each
     z_hat: Array
     joint: Array
     blocks: Array
+    # innovations: (m, n, 2), wrapped; R: (m, 2, 2), noise of the observations
     innovations: Array
     R: Array
-    decided: IntArray | None = None
+    decided: IntArray | None = None  # (m,) by JCBB; None: not formed
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """What an estimator says about a frame.
+    """What an estimator says about a frame."""
 
-    Attributes:
-        expected: before the update; None: no observations, or it does not say.
-        decisions: (m,) handed to the update.
-        used: rows (k,) of the observations that it claims to have used.
-        nis: as it states it; NaN: it does not.
-        pose: (3,); covariance: (3, 3) of it, NaN: none.
-        number, xy, blocks: landmarks (L,), (L, 2), (L, 2, 2); empty in localization.
-    """
-
-    expected: Expected | None
-    decisions: IntArray
-    used: IntArray
-    nis: float
+    expected: Expected | None  # before the update; None: no observations, or it does not say
+    decisions: IntArray  # (m,) handed to the update
+    used: IntArray  # rows (k,) of the observations that it claims to have used
+    nis: float  # as it states it; NaN: it does not
+    # pose: (3,); covariance: (3, 3) of it, NaN: none
     pose: Array
     covariance: Array
+    # number, xy, blocks: landmarks (L,), (L, 2), (L, 2, 2); empty in localization
     number: IntArray
     xy: Array
     blocks: Array
@@ -363,44 +351,32 @@ COUNTED = (Quantity.CANDIDATES, Quantity.DECISIONS, Quantity.USED)
 
 @dataclass(frozen=True)
 class Agreement:
-    """Everything is as the exact filter has it.
+    """Everything is as the exact filter has it."""
 
-    Attributes:
-        world: `worlds.LINEAR` or `worlds.MILD`.
-        frames: number of frames compared.
-        quantities: compared.
-        largest: difference [sigma]; allowed: [sigma].
-    """
-
-    world: str
-    frames: int
-    quantities: tuple[Quantity, ...]
+    world: str  # `worlds.LINEAR` or `worlds.MILD`
+    frames: int  # number of frames compared
+    quantities: tuple[Quantity, ...]  # compared
+    # largest: difference [sigma]; allowed: [sigma]
     largest: float
     allowed: float
 
 
 @dataclass(frozen=True)
 class Deviation:
-    """A quantity is not as the exact filter has it.
+    """A quantity is not as the exact filter has it."""
 
-    Attributes:
-        world, quantity: where and what.
-        frame: first frame beyond what is allowed; observed: whether that frame has observations.
-        first: whether no other quantity is beyond it earlier.
-        largest: difference [sigma], or number of candidates or observations; allowed: as that.
-        bug: mistake with the same consequences, if one is known.
-        exact: whether the estimator claims to be exact.
-    """
-
+    # world, quantity: where and what
     world: str
     quantity: Quantity
+    # frame: first frame beyond what is allowed; observed: whether that frame has observations
     frame: int
     observed: bool
-    first: bool
+    first: bool  # whether no other quantity is beyond it earlier
+    # largest: difference [sigma], or number of candidates or observations; allowed: as that
     largest: float
     allowed: float
-    bug: Bug | None
-    exact: bool
+    bug: Bug | None  # mistake with the same consequences, if one is known
+    exact: bool  # whether the estimator claims to be exact
 
 
 @dataclass(frozen=True)

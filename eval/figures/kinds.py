@@ -40,7 +40,7 @@ class Kind:
     place: str = SECTION
 
 
-MODULES = ("association", "claims", "error", "map")  # of this folder, which draw logs
+MODULES = ("association", "claims", "error", "growth", "map")  # of this folder, which draw logs
 KINDS: dict[str, Kind] = {}  # kinds of figures by name; the modules enter theirs when they are imported
 Drawn = Callable[[Trial, Variants], "tuple[Figure, Facts]"]
 
@@ -91,6 +91,11 @@ def unclaimed(run: Run) -> str:
 def finished(trial: Trial) -> list[Run]:
     """The estimates that reached the end, implausible ones as well; dead reckoning is none."""
     return [r for r in trial.runs if r.failure is None and r.estimator != "dead-reckoning"]
+
+
+def plausible(trial: Trial) -> list[Run]:
+    """The estimates that reached the end and can be believed."""
+    return [r for r in finished(trial) if r.flaw is None]
 
 
 def calibrated(trial: Trial) -> list[Run]:

@@ -45,22 +45,15 @@ Owner = Part | Seeded
 
 @dataclass(frozen=True)
 class Outcome:
-    """All results.
+    """All results."""
 
-    Attributes:
-        trials, studies: of logs, and of scenarios.
-        published: rows of published.csv.
-        skipped: messages about work that could not be done.
-        trust: consistency of each log without ground truth, per association method.
-        missing: results missing for lack of memory.
-    """
-
+    # trials, studies: of logs, and of scenarios
     trials: tuple[Trial, ...]
     studies: tuple[Study, ...]
-    published: tuple[Mapping[str, object], ...] = ()
-    skipped: tuple[str, ...] = ()
-    trust: tuple[Trust, ...] = ()
-    missing: tuple[Notice, ...] = ()
+    published: tuple[Mapping[str, object], ...] = ()  # rows of published.csv
+    skipped: tuple[str, ...] = ()  # messages about work that could not be done
+    trust: tuple[Trust, ...] = ()  # consistency of each log without ground truth, per association method
+    missing: tuple[Notice, ...] = ()  # results missing for lack of memory
 
 
 def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) -> Outcome:

@@ -101,17 +101,11 @@ MISSING_RUN = notice(Code.MISSING)
 
 @dataclass
 class Unfinished:
-    """Jobs that ran out of memory, and results that are therefore missing.
+    """Jobs that ran out of memory, and results that are therefore missing."""
 
-    Attributes:
-        processes: number of parallel processes.
-        jobs: reason by owner.
-        messages: for terminal and report.
-    """
-
-    processes: int
-    jobs: dict[Any, Notice] = field(default_factory=dict)
-    messages: list[Notice] = field(default_factory=list)
+    processes: int  # number of parallel processes
+    jobs: dict[Any, Notice] = field(default_factory=dict)  # reason by owner
+    messages: list[Notice] = field(default_factory=list)  # for terminal and report
 
     def __call__(self, owner: Any, why: Notice) -> None:
         """Record a lost job."""

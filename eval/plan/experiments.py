@@ -27,18 +27,12 @@ QUICK_FRAMES = 1000  # of each log, in a quick report
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything to do.
-
-    Attributes:
-        studies: scenarios to simulate, with their numbers of runs.
-        skipped: messages about work that cannot be done.
-        given: results of other programs and their truth.
-    """
+    """Everything to do."""
 
     experiments: tuple[Experiment, ...]
-    studies: tuple[tuple[Scenario, int], ...]
-    skipped: tuple[str, ...] = ()
-    given: Asked = NOTHING
+    studies: tuple[tuple[Scenario, int], ...]  # scenarios to simulate, with their numbers of runs
+    skipped: tuple[str, ...] = ()  # messages about work that cannot be done
+    given: Asked = NOTHING  # results of other programs and their truth
 
 
 def make_plan(options: Options, say: Callable[[str], None]) -> Plan:

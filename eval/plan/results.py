@@ -294,18 +294,12 @@ def _kept(result: Result, log: Log) -> MapAndDecisions:
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """Results to score, and their truth.
-
-    Attributes:
-        file: given truth; None: that of the log.
-        truth: at its own stamps, known with the log; None: unknown.
-        reading: flags.
-    """
+    """Results to score, and their truth."""
 
     results: tuple[Result, ...] = ()
-    file: GivenPath | None = None
-    truth: TruePath | None = None
-    reading: Matching = PLAIN
+    file: GivenPath | None = None  # given truth; None: that of the log
+    truth: TruePath | None = None  # at its own stamps, known with the log; None: unknown
+    reading: Matching = PLAIN  # flags
 
     def settled(self, log: Log) -> tuple[Log, Asked]:
         """The log with the given truth, if any, and the results with their truth."""

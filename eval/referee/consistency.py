@@ -23,11 +23,6 @@ from data.se2 import Array, BoolArray, between, pose_error
 LEVEL = 0.95
 
 
-def chi2_bounds(dof: int, level: float = LEVEL) -> tuple[float, float]:
-    """Two-sided interval of a chi-square variable divided by its degrees of freedom."""
-    return nis_bounds(dof, level=level)
-
-
 def nis_bounds(dof: int, gated: tuple[float, float] = (1.0, 2.0), level: float = LEVEL) -> tuple[float, float]:
     """Two-sided interval of NIS per degree of freedom, from the gamma distribution with the moments `gated`. `gated` is
     mean and variance per degree of freedom; without a gate the distribution is chi-square exactly.
@@ -55,7 +50,7 @@ def share_interval(hits: int, n: int) -> tuple[float, float]:
 
 def anees_band(dof: int, runs: int) -> tuple[float, float]:
     """Band of the per-step average NEES over runs, for plots: 5 % of consistent steps lie outside."""
-    lower, upper = chi2_bounds(dof * runs)
+    lower, upper = nis_bounds(dof * runs)
     return dof * lower, dof * upper
 
 

@@ -16,11 +16,11 @@ from data.notice import Code, Notice, Value, notice
 from data.result import DISCARD, Failure, Run
 from data.se2 import Array
 from ekf.whole_run import run_filter
+from eval.referee.lost import ABSURD
 from eval.referee.residuals import used_by
 from graph.optimum import SUSPECT
 
 IMPLAUSIBLE = "implausible"  # the status word
-ABSURD = 100.0  # NIS per degree of freedom, 10 sigma on average: sigmas stated at half give 4, lost runs above 400
 SIGMAS = 3.0  # sigmas that are added to the length of every increment
 MARGIN = 2.0
 """Factor of the distance driven, the sensor's range, and dead reckoning's sigma. Arena, circle, corridor, park and

@@ -20,20 +20,17 @@ Read = Callable[[str, object], Any]
 
 @dataclass(frozen=True)
 class Flag:
-    """One field of a table.
-
-    Attributes:
-        numbers: whether the estimators' numbers depend on it, so that it belongs to the command that reproduces them.
-        name, default: of the field; part: of the field that holds its table, empty in the table itself.
-    """
+    """One field of a table."""
 
     read: Read  # the kind of its values
     metavar: str  # of the value; empty for a switch
     help: str  # one line for `--help`
+    # whether the estimators' numbers depend on it, so that it belongs to the command that reproduces them
     numbers: bool = True
     repeatable: bool = False  # given once for each value
     short: str = ""  # one letter
     bare: str = ""  # the value of a flag without one; empty: a value is needed
+    # name, default: of the field; part: of the field that holds its table, empty in the table itself
     name: str = ""
     default: Any = None
     part: str = ""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from data.formats.results.space import ignored
 from data.formats.results.tables import Companions
 from data.log import Log
 from data.logs import Reading, is_world, open_scored, unknown_world
-from data.notice import Severity
+from data.notice import Code, Notice, Severity, notice
 from data.questions.asked import assumed_noise, truth_windows
 from data.se2 import Array
 from data.truth_windows import scored as screened
@@ -26,6 +26,7 @@ from eval.plan.flags.table import Output, Scoring
 from eval.plan.results import TRUTH, Result, manner_of, offset_of, phase_of, runs_of, true_path, truth_of
 from eval.referee import consistency, errors, result_files
 from eval.referee.consistency import QUANTITIES
+from eval.referee.given.pairing import PLENTY
 from eval.referee.given.runs import GivenRun, TruePath, truth_log
 from eval.referee.metrics import OF_ESTIMATES
 from eval.referee.score import Trial, metrics_row
@@ -55,13 +56,17 @@ class Scored:
     projected: Mapping[str, str]  # what the projection to the plane ignores, by role of the file
 
 
-def printed(files: Sequence[str], truths: Sequence[str], reading: Scoring) -> tuple[str, str]:
-    """Lines of the scores, a name and a value each, of several with their verdicts; and lines of notes."""
+def printed(files: Sequence[str], truths: Sequence[str], reading: Scoring, *, infer: bool) -> tuple[str, str]:
+    """Lines of the scores, a name and a value each, of several with their verdicts; and lines of notes. `infer`: of a
+    path in another frame the RMSE after an alignment stands first.
+    """
     found = [scored(file, truth, reading) for file, truth in zip(files, truths, strict=True)]
     if len(found) == 1:
-        one = found[0]
-        lines = say("results#one", scores=scores(one), projected=one.projected, space=bool(one.run.space))
-        return lines, "\n".join(one.notes)
+        one, values = found[0], scores(found[0])
+        first = aligned_first(one, values) if infer else None
+        lead = {} if first is None else {name: values[name] for name in [str(first.named["column"])]}
+        lines = say("results#one", scores=lead | values, projected=one.projected, space=bool(one.run.space))
+        return lines, "\n".join([*([] if first is None else [sentence(first)]), *one.notes])
     p = _pooled(files, found)
     return say("results#many", p=p), say("results#notes", p=p)
 
@@ -90,8 +95,30 @@ def _pooled(files: Sequence[str], found: Sequence[Scored]) -> dict[str, object]:
     }
 
 
+W_FIRST = "estimate.t=1,estimate.x=2,estimate.y=3,estimate.z=4,estimate.qw=5,estimate.qx=6,estimate.qy=7,estimate.qz=8"
+
+
 def scored(file: str, truth: str, reading: Scoring) -> Scored:
-    """An estimate, read and matched; of a truth that is a log, the run has its frames if they are the same."""
+    """An estimate, read and matched; of a truth that is a log, the run has its frames if they are the same. Where
+    quaternions of a TUM file fit only with w first, they are read so, which is said.
+    """
+    found = _scored(file, truth, reading)
+    codes = {n.code for n in found.run.notes if n.named.get("which", "quaternion") == "quaternion"}
+    own = [n for n in found.run.notes if n.code == Code.PATH_QUATERNIONS and n.named["file"] == file]
+    if not (own or Code.PATH_TILT in codes) or reading.columns or not found.run.space:
+        return found
+    try:
+        other = _scored(file, truth, replace(reading, columns=(W_FIRST,)))
+    except DataError:
+        return found
+    off = [columns_in_space(s.run.space[s.phase]).get("rmse_rotation_3d_se3_deg", math.inf) for s in (found, other)]
+    if not off[1] < off[0] / CLEARLY:
+        return found
+    said = notice(Code.QUATERNION_ORDER, file=file, stated=off[0], fits=off[1])
+    return replace(other, notes=(sentence(said), *other.notes))
+
+
+def _scored(file: str, truth: str, reading: Scoring) -> Scored:
     path, given = Path(truth), None
     excluded = tuple(stretch(text) for text in reading.exclude_truth)
     asked: TruePath | None
@@ -134,6 +161,41 @@ def scores(s: Scored) -> dict[str, float]:
     values = {name: row.get(name) for name in names}
     found = {name: float(v) for name, v in values.items() if isinstance(v, (int, float)) and math.isfinite(v)}
     return found | (columns_in_space(s.run.space[s.phase]) if s.phase in s.run.space else {})
+
+
+CLEARLY, TILTED, SIZE, SCALED = 5.0, 2.0, 0.05, 0.2
+"""Least ratio of RMS errors as read and after a fit, and where verticals or scales differ; least share of the path's
+extent that an error of another frame has; least logarithm of a scale that is unknown, as of one camera.
+"""
+
+
+def aligned_first(s: Scored, values: Mapping[str, float]) -> Notice | None:
+    """What is said of a path that only an alignment brings to its truth: the column of the RMSE after it."""
+    if any(n.code in (Code.PATH_CLOCK, Code.PATH_LEAP) for n in s.run.notes) or s.run.match is None:
+        return None
+    truth = s.run.space[s.phase].truth.position if s.phase in s.run.space else s.run.match.truth[:, :2]
+    known = truth[np.isfinite(truth).all(axis=1)]
+    size, mean = math.sqrt(float(np.var(known, axis=0).sum())), values.get("nees_pose", math.inf)
+    if s.phase in s.run.space:
+        direct, rigid, scaled = (values.get(f"rmse_position_3d{how}_m", math.nan) for how in ("", "_se3", "_sim3"))
+    else:
+        direct, rigid, scaled = values["rmse_position_m"], values.get("rmse_aligned_m", math.nan), math.nan
+    how, column, fits = ("se3", "rmse_position_3d_se3_m", rigid) if s.run.space else ("se2", "rmse_aligned_m", rigid)
+    if abs(math.log(values.get("scale_sim3", 1.0))) > SCALED and TILTED * scaled < min(rigid, 0.5 * size):
+        how, column, fits = "sim3", "rmse_position_3d_sim3_m", scaled
+    tilted = any(n.code == Code.PATH_TILT and n.named["which"] == "world" for n in s.run.notes)
+    if (
+        len(known) < PLENTY
+        or size < STANDING
+        or mean < CONSISTENT
+        or not direct > max((TILTED if tilted else CLEARLY) * fits, SIZE * size)
+    ):
+        return None
+    return notice(Code.ALIGNED_FIRST, column=column, direct=direct, how=how)
+
+
+STANDING = 0.01  # m, extent of a robot that stands or turns in place, whose positions tell no frame
+CONSISTENT = 12.0  # Pose NEES up to which an estimate states that it is so far off
 
 
 def _sample(s: Scored) -> Sample:

@@ -14,7 +14,7 @@ from scipy import special
 
 from data.log import folder_name
 from data.terminal import counted
-from eval.figures.claims import anees_figure
+from eval.figures.claims import anees_figure, outlier_figure
 from eval.figures.style import save_for_page
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
@@ -81,7 +81,7 @@ def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Seq
         sections += _study(study, own, pictures, table)
     rates = [s for s in outcome.studies if s.scenario.part]  # each one rate of an outlier study
     for source in dict.fromkeys(s.scenario.source for s in rates):
-        sections.append(_outliers([s for s in rates if s.scenario.source == source], table))
+        sections.append(_outliers(plots, [s for s in rates if s.scenario.source == source], table))
     return sections
 
 
@@ -178,13 +178,16 @@ def outlier_table(studies: Sequence[Study]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(OUTLIERS)).sort_values(["task", "rate"], kind="stable", ignore_index=True)
 
 
-def _outliers(studies: Sequence[Study], table: TableWriter) -> Section:
+def _outliers(plots: Path | None, studies: Sequence[Study], table: TableWriter) -> Section:
     s, runs = studies[0].scenario, len(studies[0].seeds)
     name = folder_name(s.source if "/" not in s.source else Path(s.source).stem)
-    lost = [facts_of(study) for study in studies]
+    data, lost = outlier_table(studies), [facts_of(study) for study in studies]
     caption = say("studies#outliers", name=name, runs=runs, dof=DOF["pose"], lost=any(f["diverged"] for f in lost))
     blocks: list[Block] = [f"{s.about} {counted(runs, 'run')} at each rate."]
-    blocks.append(table(comparison.outliers_table(outlier_table(studies)), name, caption))
+    blocks.append(table(comparison.outliers_table(data), name, caption))
+    if plots is not None:
+        save_for_page(partial(outlier_figure, data, name), plots, name)
+        blocks.append(Picture(name, caption, "RMSE and NEES against the share of wrong associations"))
     for study, f in zip(studies, lost, strict=True):
         if f["diverged"]:
             blocks.append(f"At {100 * study.scenario.wrong:g} %: {say('studies#diverged', lost=f['diverged'])}")

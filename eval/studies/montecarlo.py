@@ -29,21 +29,18 @@ COVERED = 0.95  # share of runs whose systematic error is expected inside its cl
 
 @dataclass(frozen=True)
 class Sample:
-    """Contribution of one run, by quantity; what does not apply is missing, what has no value is NaN.
+    """Contribution of one run, by quantity; what does not apply is missing, what has no value is NaN."""
 
-    Attributes:
-        means: mean over the run of the NEES (pose, position, heading, landmarks), `nis` per dof over its expectation
-            under the gates, and `whiteness`, the lag-1 correlation of the innovations.
-        ends: NEES at the last frame; `error_...`: of an estimated systematic error.
-        squares: mean squared error of `position` [m^2] and `heading` [rad^2].
-        published: NEES averaged as the scenario's published numbers are.
-        nees_pose: (N,) pose NEES of every frame that counts, NaN before.
-    """
-
+    # mean over the run of the NEES (pose, position, heading, landmarks), `nis` per dof over its expectation under the
+    # gates, and `whiteness`, the lag-1 correlation of the innovations
     means: Mapping[str, float] = field(default_factory=dict)
+    # NEES at the last frame; `error_...`: of an estimated systematic error
     ends: Mapping[str, float] = field(default_factory=dict)
+    # mean squared error of `position` [m^2] and `heading` [rad^2]
     squares: Mapping[str, float] = field(default_factory=dict)
+    # NEES averaged as the scenario's published numbers are
     published: Mapping[str, float] = field(default_factory=dict)
+    # (N,) pose NEES of every frame that counts, NaN before
     nees_pose: Array = field(default_factory=lambda: np.empty(0))
     failure: str | None = None  # where and why it stopped, or is `implausible`; then nothing else is filled in
     trace: str = ""  # the traceback of crashed foreign code
@@ -189,22 +186,16 @@ class Judged:
 
 @dataclass(frozen=True)
 class EstimatorJudgement:
-    """An estimator of a study in one phase: its verdicts, and the word that follows from their marks.
+    """An estimator of a study in one phase: its verdicts, and the word that follows from their marks."""
 
-    Attributes:
-        study, runs: name of the scenario, and its number of runs; `diverged`: of these, failed or implausible.
-        judged: a verdict for each quantity.
-        rmse: of the position [m], over all complete runs.
-        outside: share of the instants whose NEES, averaged over the runs, is outside its 95 % band.
-    """
-
+    # study, runs: name of the scenario, and its number of runs; `diverged`: of these, failed or implausible
     study: str
     runs: int
     key: Key
-    judged: tuple[Judged, ...]
+    judged: tuple[Judged, ...]  # a verdict for each quantity
     diverged: int
-    rmse: float
-    outside: float
+    rmse: float  # of the position [m], over all complete runs
+    outside: float  # share of the instants whose NEES, averaged over the runs, is outside its 95 % band
 
     @property
     def marks(self) -> dict[str, str]:

@@ -28,18 +28,15 @@ PLAIN, STAND_IN = "batch", "batch-cauchy"  # the smoother for comparison, and it
 
 @dataclass(frozen=True)
 class Sample:
-    """Truth-free consistency statistics of one log, and of a twin the errors of its estimators.
-
-    Attributes:
-        apart: RMS [m] between an online path and the batch smoother's, by estimator.
-        nees: mean pose NEES by estimator and phase (of a twin).
-        counts: tp, tn, fp, fn of the final decisions by estimator (of a twin).
-    """
+    """Truth-free consistency statistics of one log, and of a twin the errors of its estimators."""
 
     measured: Mapping[Key, Statistic]  # the statistics; none of a failed estimator
     failures: Mapping[str, str] = field(default_factory=dict)  # reasons, by estimator
+    # RMS [m] between an online path and the batch smoother's, by estimator
     apart: Mapping[str, float] = field(default_factory=dict)
+    # mean pose NEES by estimator and phase (of a twin)
     nees: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    # tp, tn, fp, fn of the final decisions by estimator (of a twin)
     counts: Mapping[str, tuple[int, int, int, int]] = field(default_factory=dict)
 
 

@@ -36,15 +36,12 @@ SHORTEST = 10  # frames; least number for a lag-1 correlation or a slope
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Source of twins, and how they are estimated.
+    """Source of twins, and how they are estimated."""
 
-    Attributes:
-        log: the real one, without the systematic errors that the smoother estimated; twins have none and estimate them
-            with the same prior. Its truth is not used.
-        task, association, estimators, setup: as for the real log; `batch` is always among the estimators.
-    """
-
+    # the real one, without the systematic errors that the smoother estimated; twins have none and estimate them with
+    # the same prior. Its truth is not used
     log: Log
+    # task, association, estimators, setup: as for the real log; `batch` is always among the estimators
     task: str
     association: str
     estimators: tuple[str, ...]

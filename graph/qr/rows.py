@@ -101,6 +101,7 @@ class Linearizer:
         moves = problem.known_map and motion.frame.range_at >= 0
         self._world = np.array([s.xy for s in problem.observations]).reshape(-1, 2) if moves else None
         self._last: tuple[gtsam.Values, Array, Array] | None = None
+        self._first: tuple[gtsam.Values, tuple[Array, Array, Array]] | None = None
         # with closures no variable counts as a pose of a bare chain, whose order would fill in
         chain = 0 if any(p.closure for p in of_poses) else n
         drift = motion.first_of if motion.knots else NO_DRIFT
@@ -164,12 +165,14 @@ class Linearizer:
         return pose2(self._motion.frame.poses_out(pose[:1], errors[:1])[0][0])
 
     def first(self, values: gtsam.Values) -> tuple[Array, Array, Array]:
-        """The first pose's tangent coordinates as start + U w, where z + w ~ N(0, I): start, z (3,) and U (3, 3).
+        """The first pose's tangent coordinates as start + U w, where z + w ~ N(0, I): start, z (3,), U (3, 3).
 
         The start is zero unless the present estimate contradicts an exact direction of the prior. The pose is that of
         the robot in the world.
         """
-        return _prior_in_tangent(self._problem.prior, self._robot(values))
+        if self._first is None or self._first[0] is not values:
+            self._first = values, _prior_in_tangent(self._problem.prior, self._robot(values))
+        return self._first[1]
 
     def _first_by(self, errors: Array, pose: Array) -> tuple[Array, Array]:
         """Jacobians (3, 3) and (3, q) of the first pose's tangent coordinates in the frame, to those of the robot's
@@ -210,8 +213,8 @@ class Linearizer:
         own = 0.5 * sum(float(np.sum(part**2)) for part in parts) + float(self._prior.error(first))
         return float(self._graph.error(values)) + own
 
-    def moved(self, values: gtsam.Values, delta: Array, constants: Array) -> gtsam.Values:
-        """Values after a step delta (V, 3) in tangent coordinates, and `constants` (q,) in units of their sigmas."""
+    def step(self, delta: Array, constants: Array) -> gtsam.VectorValues:
+        """A step delta (V, 3) in tangent coordinates, and `constants` (q,) in units of their sigmas, as gtsam's."""
         vector, n, m = gtsam.VectorValues(), self.frames, len(self.numbers)
         for k, row in enumerate(delta[:n]):
             vector.insert(X(k), row)
@@ -221,9 +224,13 @@ class Linearizer:
             vector.insert(drift_key(j), drift)
         if len(constants):
             vector.insert(CONSTANTS, constants)
-        moved, frame = values.retract(vector), self._motion.frame
+        return vector
+
+    def moved(self, values: gtsam.Values, step: gtsam.VectorValues) -> gtsam.Values:
+        """Values after a step."""
+        moved, frame = values.retract(step), self._motion.frame
         errors = self._motion.errors(moved)
-        first = pose_array(self._robot(values).retract(delta[0]))
+        first = pose_array(self._robot(values).retract(step.at(X(0))))
         moved.update(X(0), pose2(frame.poses_in(first[None], errors[:1])[0]))
         if self._world is not None:
             for s, at in zip(self._problem.observations, frame.points_in(self._world, errors[-1])[0], strict=True):

@@ -135,14 +135,14 @@ def test_of_two_parts_alone_either_may_turn_to_the_other_side(tmp_path):
 
 @pytest.mark.parametrize(("mistake", "kind", "of", "parts"), [
     ("random ids", "strange", "ids", TRUE), ("everything in mm", "unit", "everything", TRUE),
-    ("random ids of the map", "strange", "ids of the map", FEW), ("truth in degrees", "strange", "truth.theta", TRUE),
+    ("random ids of the map", "strange", "ids of the map", FEW),
     ("map y to the other side", "side", "map.y", TRUE), ("map y to the other side", "side", "map.y", FEW),
     ("sensor turned by 180 deg", "turned", "sensor", FEW), slow("truth in another frame", "frame", "truth", TRUE),
     slow("quaternions of the truth wxyz", "still", "truth.theta", TRUE),
 ])  # fmt: skip
 def test_other_mistakes_are_named_first(mistake, kind, of, parts, tmp_path):
-    """Without truth the prior decides; without what a converter asked the odometry tells degrees."""
-    first = ask(replace(log_of(tmp_path, MISTAKES[mistake](world(0)), **parts), asked=()))[0]
+    """Without truth the prior decides."""
+    first = ask(log_of(tmp_path, MISTAKES[mistake](world(0)), **parts))[0]
     assert (first.named["kinds"], first.named["of"]) == ((kind,), (of,))
     assert sentence(first)
 

@@ -118,7 +118,7 @@ def test_the_report_shows_pictures_and_needs_no_network(report):
     pages = [report / "report.html", *(report / "details").glob("*.html")]
     html = "".join(page.read_text() for page in pages)
     drawn = {path.stem for path in (report / "figures").glob("*.png")}
-    assert {f"my_log-slam-{kind}" for kind in ("map", "error", "nees")} < drawn
+    assert {f"my_log-slam-{kind}" for kind in ("map", "error", "nees", "growth")} < drawn
     assert html.count("data:image/webp;base64,") + html.count("data:image/png;base64,") == len(drawn)
     assert "http://" not in html
     assert "https://" not in html

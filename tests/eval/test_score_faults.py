@@ -57,18 +57,6 @@ def tum(places, yaw=0.0, z=0.0, step=1.0, start=0.0):
 # ---- columns by name
 
 
-def test_a_header_with_the_quaternion_x_first_is_obeyed(scored):
-    stamps = [1403636579000000000 + 50_000_000 * k for k in range(len(CURVE))]
-    header, q = "#timestamp,x,y,z,qx,qy,qz,qw", (0, 0, math.sin(5 * DEG), math.cos(5 * DEG))
-    truth = commas([(t, x, y, 0, 0, 0, 0, 1) for t, (x, y) in zip(stamps, CURVE)], header)
-    estimate = commas([(t, x, y, 0, *q) for t, (x, y) in zip(stamps, CURVE)], header)
-    values, asked, said = scored(estimate, truth)
-    assert values["rmse_heading_deg"] == pytest.approx(10.0)
-    assert values["rmse_rotation_3d_deg"] == pytest.approx(10.0)
-    assert not asked
-    assert "stamps in ns by their size" in said
-
-
 NAMES = {
     "TUM, w first": ("# timestamp tx ty tz qw qx qy qz", " ", "txyzWXYZ"),
     "no comment": ("time,pos_x,pos_y,pos_z,quat_w,quat_x,quat_y,quat_z", ",", "txyzWXYZ"),
@@ -213,18 +201,13 @@ def test_two_files_in_two_planes_are_aligned_in_space(places, scored):
         assert not [a for a in asked if "verticals" in a]
 
 
-def test_quaternions_with_w_first_and_degrees_in_both_files_are_asked_about(scored):
-    rows = [(k, x, y, 0, math.cos(0.1 * k), 0, 0, math.sin(0.1 * k)) for k, (x, y) in enumerate(CURVE)]
-    truth = [(k, x, y, 0, 0, 0, math.sin(0.1 * k), math.cos(0.1 * k)) for k, (x, y) in enumerate(CURVE)]
-    _, asked, _ = scored(lines(rows), lines(truth))
-    assert any("begin with w" in a for a in asked)
+def test_degrees_in_both_files_are_inferred_and_many_turns_in_rad_are_none(scored):
     way = [(math.cos(0.05 * k), math.sin(0.05 * k)) for k in range(100)]
     h = [math.degrees(0.05 * k) + 90.0 for k in range(100)]
-    _, asked, _ = scored(headed(h, way), headed(h, way))
-    assert len(asked) == 2
-    _, asked, _ = scored(headed(h, way), headed(h, way), "--unit", "deg")
+    values, asked, said = scored(headed(h, way), headed([a + 1 for a in h], way))
+    assert values["rmse_heading_deg"] == pytest.approx(1.0)
     assert not asked
-    # many turns in rad, which are not wrapped
+    assert "inferred: headings are in degrees" in said
     h = [0.05 * k * 10 for k in range(100)]
     way = [(math.cos(v), math.sin(v)) for v in h]
     _, asked, _ = scored(headed(h, way), headed(h, way))
@@ -535,8 +518,9 @@ def test_quaternions_with_w_first_are_told_in_either_file(which, scored):
     right = np.column_stack([WAY[:, :3], 0 * half, 0 * half, 0 * half, np.sin(half), np.cos(half)])
     wrong = right[:, [0, 1, 2, 3, 7, 4, 5, 6]]
     files = [wrong if which in (name, "both") else right for name in ("estimate", "truth")]
-    _, asked, _ = scored(*(lines(rows) for rows in files))
-    assert len(asked) == (2 if which == "both" else 1)
+    values, asked, said = scored(*(lines(rows) for rows in files))
+    assert len(asked) == {"estimate": 0, "truth": 1, "both": 2}[which]
+    assert which != "estimate" or (values["rmse_rotation_3d_deg"] < 1e-6 and "inferred: quaternions of" in said)
     assert all("begin with w" in text for text in asked)
 
 
@@ -553,3 +537,16 @@ def test_flat_poses_of_a_robot_as_matrices_are_told_in_either_file(scored):
     values, asked, _ = scored(lines(other), lines(rows), "--axes", "estimate=robot", "--axes", "truth=robot")
     assert values["rmse_position_m"] == pytest.approx(0.1)
     assert not asked
+
+
+def test_a_path_in_another_frame_is_aligned_first(scored):
+    """The names keep their meaning: only their order tells."""
+    t, x, y, _ = WAY.T
+    space = np.column_stack([t, x, y, 0.2 * np.sin(t), 0 * t, 0 * t, 0 * t, 1 + 0 * t])
+    turned = space.copy()
+    turned[:, 1:4] = 0.5 * space[:, [2, 3, 1]] + [30.0, 0.0, -4.0]
+    files, plane = (lines(turned), lines(space)), (posed(WAY + [0.0, 30.0, 5.0, 0.0]), posed(WAY))
+    assert scored(*files)[0]["rmse_position_3d_sim3_m"] < 1e-6
+    for given, first in ((files, "3d_sim3_m"), (files[1:] * 2, "m"), ((*files, "--align", "none"), "m")):
+        assert scored(*given)[2].startswith(f"rmse_position_{first} ")
+    assert scored(*plane)[2].startswith("rmse_aligned_m ")

@@ -52,9 +52,8 @@ def test_columns_without_names_are_told_by_their_numbers(scored, names, separato
 def test_columns_that_may_be_anything_are_to_be_named(scored):
     text = table({"x": MINE[:, 0], "y": MINE[:, 1], "z": 0 * T}, False, " ")
     assert "--columns x=1,y=2" in scored(text, text, wrong=True)
-    text = table({"lat": 1e-4 * MINE[:, 0] + 12.9, "lon": 1e-4 * MINE[:, 1] + 77.6}, False, " ")
-    assert "--columns x=1,y=2" in scored(text, text, wrong=True)
-    text = table({"x": MINE[:, 0], "y": MINE[:, 1], "z": 0 * T}, False, " ")
+    places = table({"lat": 1e-4 * MINE[:, 0] + 12.9, "lon": 1e-4 * MINE[:, 1] + 77.6}, False, " ")
+    assert "--columns x=1,y=2" in scored(places, places, wrong=True)
     values = scored(text, table({"y": TRUE[:, 1], "x": TRUE[:, 0]}), flags=("--columns", "estimate.x=1,estimate.y=2"))
     assert values["rmse_position_m"] == pytest.approx(0.1)
 

@@ -70,20 +70,13 @@ def faults_of(name: str) -> list[Fault]:
 
 
 class Reader(NamedTuple):
-    """A reader under test.
+    """A reader under test."""
 
-    Attributes:
-        inputs: valid inputs, each a folder's files by their names; made once.
-        read: reads a folder.
-        check: raises AssertionError if what was read is not sound.
-        faults: what may be wrong in a file, by its name.
-        place: raises AssertionError if a refusal does not say where.
-    """
-
-    inputs: Callable[[], list[Files]]
-    read: Callable[[Path], Any]
-    check: Callable[[Any], None]
-    faults: Callable[[str], list[Fault]] = faults_of
+    inputs: Callable[[], list[Files]]  # valid inputs, each a folder's files by their names; made once
+    read: Callable[[Path], Any]  # reads a folder
+    check: Callable[[Any], None]  # raises AssertionError if what was read is not sound
+    faults: Callable[[str], list[Fault]] = faults_of  # what may be wrong in a file, by its name
+    # raises AssertionError if a refusal does not say where
     place: Callable[[Path, str], None] = lambda folder, said: None
 
 

@@ -65,31 +65,25 @@ CASES = {
 
 
 class Soaked(NamedTuple):
-    """What became of it.
+    """What became of it."""
 
-    Attributes:
-        case, frames: what was run.
-        seconds: CPU time of the frames.
-        early_mb, late_mb: resident memory after a twentieth of the frames, and after all.
-        early_ms, late_ms: CPU time of a frame, in the fastest hundredth of the second tenth and of the last.
-        error_m: mean distance from the truth over the last tenth.
-        nees: mean of the pose's over the last tenth; 3 is expected.
-        asymmetry, lowest: of the covariance at the end, as shares of its trace: largest difference from its transpose,
-            lowest eigenvalue.
-        states, landmarks: at the end.
-    """
-
+    # case, frames: what was run
     case: str
     frames: int
-    seconds: float
+    seconds: float  # CPU time of the frames
+    # early_mb, late_mb: resident memory after a twentieth of the frames, and after all
     early_mb: float
     late_mb: float
+    # early_ms, late_ms: CPU time of a frame, in the fastest hundredth of the second tenth and of the last
     early_ms: float
     late_ms: float
-    error_m: float
-    nees: float
+    error_m: float  # mean distance from the truth over the last tenth
+    nees: float  # mean of the pose's over the last tenth; 3 is expected
+    # asymmetry, lowest: of the covariance at the end, as shares of its trace: largest difference from its transpose,
+    # lowest eigenvalue
     asymmetry: float
     lowest: float
+    # states, landmarks: at the end
     states: int
     landmarks: int
 

@@ -20,23 +20,14 @@ ALWAYS = ("--no-plots", "--formats", "csv", "--jobs", "1", "--out", "out", "--qu
 
 @dataclass(frozen=True)
 class Case:
-    """One run of the public command.
+    """One run of the public command."""
 
-    Attributes:
-        words: of the command line, in one string.
-        covers: what it is here for.
-        short: it is in the short half, too.
-        before: commands that are to be done first.
-        runs: endings of the files below runs/ that something is kept of.
-        close: how close summaries are to be, relative to the scale.
-    """
-
-    words: str
-    covers: str
-    short: bool = False
-    before: tuple[str, ...] = ()
-    runs: str = RUNS
-    close: float = CLOSE
+    words: str  # of the command line, in one string
+    covers: str  # what it is here for
+    short: bool = False  # it is in the short half, too
+    before: tuple[str, ...] = ()  # commands that are to be done first
+    runs: str = RUNS  # endings of the files below runs/ that something is kept of
+    close: float = CLOSE  # how close summaries are to be, relative to the scale
 
 
 CASES: dict[str, Case] = {

@@ -57,20 +57,14 @@ EXACT_ONLY = {
 
 @dataclass(frozen=True)
 class Digest:
-    """What is kept of a column.
+    """What is kept of a column."""
 
-    Attributes:
-        exact: beginning of the SHA-256 of its text.
-        rows, blanks: how many cells, and how many of them hold no number.
-        scale: sum of the absolute values; None of a column of words.
-        sums: two weighted sums, in billionths of the scale.
-    """
-
-    exact: str
+    exact: str  # beginning of the SHA-256 of its text
+    # rows, blanks: how many cells, and how many of them hold no number
     rows: int
     blanks: int
-    scale: float | None
-    sums: tuple[float, float]
+    scale: float | None  # sum of the absolute values; None of a column of words
+    sums: tuple[float, float]  # two weighted sums, in billionths of the scale
 
     def __str__(self) -> str:
         if self.scale is None:

@@ -52,19 +52,12 @@ class Record:
 
 @dataclass(frozen=True)
 class Done:
-    """What came out of a case.
+    """What came out of a case."""
 
-    Attributes:
-        record: what would be kept of it.
-        columns: of each file that something is kept of.
-        files: all files of the result folder.
-        seconds: of CPU.
-    """
-
-    record: Record
-    columns: dict[str, Columns]
-    files: list[str]
-    seconds: float
+    record: Record  # what would be kept of it
+    columns: dict[str, Columns]  # of each file that something is kept of
+    files: list[str]  # all files of the result folder
+    seconds: float  # of CPU
 
 
 def done(name: str, save: Path | None) -> Done | str:

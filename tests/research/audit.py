@@ -231,16 +231,11 @@ def spoilt(s: Structure, case: Case, rng: np.random.Generator) -> Spoilt:
 
 
 class Chance(NamedTuple):
-    """Of the false factor that is hardest to name, beside all sound ones, with its error and no noise.
+    """Of the false factor that is hardest to name, beside all sound ones, with its error and no noise."""
 
-    Attributes:
-        noncentrality: of its test, on `rank` degrees of freedom.
-        apart: by how much it is above that of any other factor's test.
-    """
-
-    noncentrality: float
+    noncentrality: float  # of its test, on `rank` degrees of freedom
     rank: int
-    apart: float
+    apart: float  # by how much it is above that of any other factor's test
 
     def named(self, tests: int) -> float:
         """Probability that it is rejected and is the worst: of two tests, the difference has variance 4 `apart`."""

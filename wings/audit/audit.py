@@ -186,22 +186,15 @@ def unheard(_: str, **numbers: float) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Contradicting:
-    """Factors that contradict the rest, and the rest.
+    """Factors that contradict the rest, and the rest."""
 
-    Attributes:
-        left: their numbers.
-        f: the system without them, around its own minimum.
-        T, rank: (F,) of each factor beside the rest; rank 0 where nothing sees it.
-        excess: sum of squares of the rest minus its degrees of freedom.
-        errors: number of errors; loops between the same two places are one.
-    """
-
-    left: IntArray
-    f: linear.Factored
+    left: IntArray  # their numbers
+    f: linear.Factored  # the system without them, around its own minimum
+    # T, rank: (F,) of each factor beside the rest; rank 0 where nothing sees it
     T: Array
     rank: IntArray
-    excess: float
-    errors: int
+    excess: float  # sum of squares of the rest minus its degrees of freedom
+    errors: int  # number of errors; loops between the same two places are one
 
 
 def optimum_without(graph: linear.Graph, values: linear.Values, left: Iterable[int]) -> linear.Values:
@@ -358,60 +351,42 @@ class Loose(NamedTuple):
 
 @dataclass(frozen=True)
 class Condition:
-    """Findings about the structure of a graph.
+    """Findings about the structure of a graph."""
 
-    Attributes:
-        parts: numbers of variables of the connected parts, largest first.
-        gauge, scale: directions in which whole parts can move; how many of them are scales.
-        loose: variables that nothing ties in some directions.
-        duplicates: pairs of factors with equal variables, residuals and Jacobians.
-    """
-
-    parts: tuple[int, ...]
+    parts: tuple[int, ...]  # numbers of variables of the connected parts, largest first
+    # gauge, scale: directions in which whole parts can move; how many of them are scales
     gauge: int
     scale: int
-    loose: tuple[Loose, ...]
-    duplicates: tuple[tuple[int, int], ...]
+    loose: tuple[Loose, ...]  # variables that nothing ties in some directions
+    duplicates: tuple[tuple[int, int], ...]  # pairs of factors with equal variables, residuals and Jacobians
 
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """Statistics of a linearized graph.
+    """Statistics of a linearized graph."""
 
-    Attributes:
-        keys: (F,) of each factor; empty in an empty slot.
-        kinds: of the factors.
-        factors: statistics of each factor.
-        log_p_family: (F,) natural logarithm of Holm's p value, over all factors, components and clusters; of as many
-            independent tests as draws show.
-        p_drawn: (F,) from the smallest p value of draws; NaN without draws.
-        by_kind, by_axis: components of the kinds, and of the axes of each; `axis` (K, 2) kind and axis, -1: whole.
-        log_p_kind, log_p_axis: Holm's, in the same family as the factors.
-        clusters, log_p_cluster: loops that agree with each other, tested together; Holm's, in the same family.
-        freedom: degrees of freedom.
-        f: the factored system.
-        wrong: factors without which no other is rejected, if they are few; else all that are rejected.
-        beside: (F,) T of the wrong ones beside all that are not, where that rejects more; else NaN.
-        searched: whether they are those of the search.
-    """
-
-    keys: Sequence[tuple[int, ...]]
-    kinds: Kinds
-    factors: Tested
+    keys: Sequence[tuple[int, ...]]  # (F,) of each factor; empty in an empty slot
+    kinds: Kinds  # of the factors
+    factors: Tested  # statistics of each factor
+    # (F,) natural logarithm of Holm's p value, over all factors, components and clusters; of as many independent tests
+    # as draws show
     log_p_family: Array
-    p_drawn: Array
+    p_drawn: Array  # (F,) from the smallest p value of draws; NaN without draws
+    # by_kind, by_axis: components of the kinds, and of the axes of each; `axis` (K, 2) kind and axis, -1: whole
     by_kind: Components
     by_axis: Components
     axis: IntArray
+    # log_p_kind, log_p_axis: Holm's, in the same family as the factors
     log_p_kind: Array
     log_p_axis: Array
+    # clusters, log_p_cluster: loops that agree with each other, tested together; Holm's, in the same family
     clusters: Sequence[Cluster]
     log_p_cluster: Array
-    freedom: int
-    f: linear.Factored
-    wrong: IntArray
-    beside: Array
-    searched: bool
+    freedom: int  # degrees of freedom
+    f: linear.Factored  # the factored system
+    wrong: IntArray  # factors without which no other is rejected, if they are few; else all that are rejected
+    beside: Array  # (F,) T of the wrong ones beside all that are not, where that rejects more; else NaN
+    searched: bool  # whether they are those of the search
 
     @property
     def rejected(self) -> bool:
@@ -422,21 +397,13 @@ class Statistics:
 
 @dataclass(frozen=True, eq=False)
 class Audit(Statistics):
-    """Numbers of an audit.
+    """Numbers of an audit."""
 
-    Attributes:
-        decrement: length of the step to the minimum of the linearized problem, in sigmas.
-        gained: decrease of the sum of squares that this step promises.
-        condition: what the graph does not determine.
-        place: (V, 3) position of each variable of the system, NaN where it has none.
-        unused: keys that have a value and no factor.
-    """
-
-    decrement: float
-    gained: float
-    condition: Condition
-    place: Array
-    unused: tuple[int, ...]
+    decrement: float  # length of the step to the minimum of the linearized problem, in sigmas
+    gained: float  # decrease of the sum of squares that this step promises
+    condition: Condition  # what the graph does not determine
+    place: Array  # (V, 3) position of each variable of the system, NaN where it has none
+    unused: tuple[int, ...]  # keys that have a value and no factor
 
 
 def examined(

@@ -39,21 +39,13 @@ WORST, LEAST = 768, 20  # factors whose influence is solved for beyond that: tho
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Leverage of a group's factors in its principal directions.
+    """Leverage of a group's factors in its principal directions."""
 
-    Attributes:
-        h: (n, d) eigenvalues of H.
-        V: (n, d, d) eigenvectors, in columns.
-        r: (n, d) residual at the minimum of the linearized problem.
-        weight: (n,).
-        joint: (n, c, c) covariance of the variables.
-    """
-
-    h: Array
-    V: Array
-    r: Array
-    weight: Array
-    joint: Array
+    h: Array  # (n, d) eigenvalues of H
+    V: Array  # (n, d, d) eigenvectors, in columns
+    r: Array  # (n, d) residual at the minimum of the linearized problem
+    weight: Array  # (n,)
+    joint: Array  # (n, c, c) covariance of the variables
 
     @property
     def R(self) -> Array:
@@ -76,31 +68,20 @@ class Directions:
 
 @dataclass(frozen=True, eq=False)
 class Tested:
-    """Statistics of each factor of the graph, NaN in empty slots: arrays (F,).
+    """Statistics of each factor of the graph, NaN in empty slots: arrays (F,)."""
 
-    Attributes:
-        dim: number of residuals.
-        chi2: squared norm of the whitened residual at the values.
-        redundancy: trace of R, the share of its dimension that others check.
-        deleted, rank, log_p: T, its degrees of freedom and logarithm of the p value, NaN where nothing is seen.
-        minimal_error: in sigmas, that the test finds with 80 % power at 0.1 %, in its worst seen direction.
-        weight: of a robust noise.
-        moved: m, how far the worst point moves without the factor, among all points where affordable, else its own.
-        missed: m, how far a just missed error moves the worst of its own points.
-        cost: decrease of the sum of squares without the factor.
-    """
-
-    dim: IntArray
-    chi2: Array
-    redundancy: Array
+    dim: IntArray  # number of residuals
+    chi2: Array  # squared norm of the whitened residual at the values
+    redundancy: Array  # trace of R, the share of its dimension that others check
+    # deleted, rank, log_p: T, its degrees of freedom and logarithm of the p value, NaN where nothing is seen
     deleted: Array
     rank: IntArray
     log_p: Array
-    minimal_error: Array
-    weight: Array
-    moved: Array
-    missed: Array
-    cost: Array
+    minimal_error: Array  # in sigmas, that the test finds with 80 % power at 0.1 %, in its worst seen direction
+    weight: Array  # of a robust noise
+    moved: Array  # m, how far the worst point moves without the factor, among all points where affordable, else its own
+    missed: Array  # m, how far a just missed error moves the worst of its own points
+    cost: Array  # decrease of the sum of squares without the factor
 
 
 def directions(f: Factored, inexact: float = INEXACT) -> list[Directions]:

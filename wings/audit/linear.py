@@ -35,18 +35,13 @@ PART = 128  # right-hand sides solved at once: they stay in the cache
 
 @dataclass(frozen=True, eq=False)
 class Factored:
-    """A system made triangular.
-
-    Attributes:
-        at: (V,) first column of each variable in the order of elimination.
-        home: per group, (n,) the position at which each factor is eliminated.
-    """
+    """A system made triangular."""
 
     system: System
     structure: Structure
     triangle: Triangle
-    at: IntArray
-    home: Sequence[IntArray]
+    at: IntArray  # (V,) first column of each variable in the order of elimination
+    home: Sequence[IntArray]  # per group, (n,) the position at which each factor is eliminated
 
     @property
     def columns(self) -> int:
@@ -160,21 +155,13 @@ IGNORED = 1e-9  # weight of a factor that its robust noise ignores: what it alon
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Factors with equally many residuals and the same dimensions of their variables.
+    """Factors with equally many residuals and the same dimensions of their variables."""
 
-    Attributes:
-        factor: (n,) numbers in the graph.
-        variables: (n, k) positions in the keys of the system.
-        A: (n, d, c) whitened Jacobians, the columns of the variables side by side.
-        r: (n, d) whitened residuals, prediction minus measurement.
-        weight: (n,) of a robust noise, else 1.
-    """
-
-    factor: IntArray
-    variables: IntArray
-    A: Array
-    r: Array
-    weight: Array
+    factor: IntArray  # (n,) numbers in the graph
+    variables: IntArray  # (n, k) positions in the keys of the system
+    A: Array  # (n, d, c) whitened Jacobians, the columns of the variables side by side
+    r: Array  # (n, d) whitened residuals, prediction minus measurement
+    weight: Array  # (n,) of a robust noise, else 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,22 +48,15 @@ class Belief(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CameraEstimate:
-    """K and the path from the same graph.
+    """K and the path from the same graph."""
 
-    Attributes:
-        mean: (3,) f, c_u, c_v [px].
-        covariance: (3, 3).
-        pose: (N, 3); pose_covariance: (N, 3, 3), world frame.
-        heights: (L, 2) m, upper and lower edge below the camera; NaN of a picture that was never found.
-        residual: RMS of the pixels over their sigma.
-    """
-
-    mean: Array
-    covariance: Array
+    mean: Array  # (3,) f, c_u, c_v [px]
+    covariance: Array  # (3, 3)
+    # pose: (N, 3); pose_covariance: (N, 3, 3), world frame
     pose: Array
     pose_covariance: Array
-    heights: Array
-    residual: float
+    heights: Array  # (L, 2) m, upper and lower edge below the camera; NaN of a picture that was never found
+    residual: float  # RMS of the pixels over their sigma
 
 
 def _height(picture: int) -> int:

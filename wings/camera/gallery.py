@@ -226,22 +226,15 @@ NORMALS = np.array([[0.0, 1.0], [-1.0, 0.0], [0.0, -1.0], [1.0, 0.0]])
 
 @dataclass(frozen=True, eq=False)
 class Scene(Locked):
-    """One gallery with its drive.
+    """One gallery with its drive."""
 
-    Attributes:
-        corners: (L, 4, 3) m, corners of the pictures in the world, in the order of `data.pictures`.
-        time: (N,) s.
-        pose: (N, 3) true poses.
-        command, recorded: (N, 2) true and recorded v [m/s] and omega [rad/s]; each holds until the next frame.
-        setup: known to the estimators; its prior mean is drawn from N(truth, P0).
-    """
-
-    corners: Array
-    time: Array
-    pose: Array
+    corners: Array  # (L, 4, 3) m, corners of the pictures in the world, in the order of `data.pictures`
+    time: Array  # (N,) s
+    pose: Array  # (N, 3) true poses
+    # command, recorded: (N, 2) true and recorded v [m/s] and omega [rad/s]; each holds until the next frame
     command: Array
     recorded: Array
-    setup: VisualSetup
+    setup: VisualSetup  # known to the estimators; its prior mean is drawn from N(truth, P0)
 
 
 def gallery(g: Gallery, seed: int) -> Scene:

@@ -33,17 +33,11 @@ WEIGHTS = np.linspace(0.01, 0.99, 99)
 
 @dataclass(frozen=True)
 class Gates:
-    """How observations are paired.
+    """How observations are paired."""
 
-    Attributes:
-        method: `known`, or a method that decides frame by frame.
-        gate: of that method, a chi-square probability; None: none.
-        threshold: largest squared distance of a pairing by label.
-    """
-
-    method: str = "known"
-    gate: float | None = 0.99
-    threshold: float = np.inf
+    method: str = "known"  # `known`, or a method that decides frame by frame
+    gate: float | None = 0.99  # of that method, a chi-square probability; None: none
+    threshold: float = np.inf  # largest squared distance of a pairing by label
 
 
 @dataclass(eq=False)

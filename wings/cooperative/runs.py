@@ -29,15 +29,11 @@ ESTIMATORS = {"joint": (FILTER, SMOOTHER), "naive": (FILTER,), "intersection": (
 
 @dataclass(frozen=True, eq=False)
 class TeamRun(Run):
-    """The run of one robot of a team.
+    """The run of one robot of a team."""
 
-    Attributes:
-        sighted: (s,) number of the robot that each of its encounters was paired with, or `DISCARD`.
-        exchange: of the team.
-    """
-
+    # (s,) number of the robot that each of its encounters was paired with, or `DISCARD`
     sighted: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    exchange: str = "joint"
+    exchange: str = "joint"  # of the team
 
 
 def lack(name: str, task: str, association: str, exchange: str) -> str:

@@ -22,20 +22,14 @@ by covariance intersection; not at all."""
 
 @dataclass(frozen=True, eq=False)
 class Encounters(Locked):
-    """Observations of robots by robots, ascending by instant and observer.
+    """Observations of robots by robots, ascending by instant and observer."""
 
-    Attributes:
-        instant: (S,) of the team.
-        observer: (S,) rows of the team.
-        z: (S, 2) and R: (S, 2, 2), as of the observer's sensor.
-        label: (S,) number of the observed robot as read, `CLUTTER` or `UNLABELLED`; for known association alone.
-    """
-
-    instant: IntArray
-    observer: IntArray
+    instant: IntArray  # (S,) of the team
+    observer: IntArray  # (S,) rows of the team
+    # z: (S, 2) and R: (S, 2, 2), as of the observer's sensor
     z: Array
     R: Array
-    label: IntArray
+    label: IntArray  # (S,) number of the observed robot as read, `CLUTTER` or `UNLABELLED`; for known association alone
 
     def __len__(self) -> int:
         return len(self.instant)
@@ -43,25 +37,15 @@ class Encounters(Locked):
 
 @dataclass(frozen=True, eq=False)
 class Team:
-    """All robots of one world.
+    """All robots of one world."""
 
-    Attributes:
-        number: (n,) of the robots, ascending.
-        members: (n,) inputs of each, with one sensor and one map.
-        labels: (n,) labels of the observations of landmarks of each, for known association alone.
-        time: (T,) s of the instants, ascending.
-        instant: (n,) the instant of each frame of each robot.
-        encounters: of robots by robots.
-        sensed: the labels come from a sensor.
-    """
-
-    number: tuple[int, ...]
-    members: tuple[Inputs, ...]
-    labels: tuple[IntArray, ...]
-    time: Array
-    instant: tuple[IntArray, ...]
-    encounters: Encounters
-    sensed: bool = False
+    number: tuple[int, ...]  # (n,) of the robots, ascending
+    members: tuple[Inputs, ...]  # (n,) inputs of each, with one sensor and one map
+    labels: tuple[IntArray, ...]  # (n,) labels of the observations of landmarks of each, for known association alone
+    time: Array  # (T,) s of the instants, ascending
+    instant: tuple[IntArray, ...]  # (n,) the instant of each frame of each robot
+    encounters: Encounters  # of robots by robots
+    sensed: bool = False  # the labels come from a sensor
     frame: IntArray = field(init=False, repr=False)
     """(n, T) the frame of each robot at each instant, -1: none."""
 
@@ -109,14 +93,8 @@ def team_of(
 
 @dataclass(frozen=True, eq=False)
 class TeamInputs(Inputs):
-    """The inputs of one robot of a team, whose runs are those of all of them.
+    """The inputs of one robot of a team, whose runs are those of all of them."""
 
-    Attributes:
-        team: all robots.
-        robot: row of this one.
-        exchange: one of `EXCHANGES`.
-    """
-
-    team: Team | None = field(default=None, kw_only=True)
-    robot: int = field(default=0, kw_only=True)
-    exchange: str = field(default="joint", kw_only=True)
+    team: Team | None = field(default=None, kw_only=True)  # all robots
+    robot: int = field(default=0, kw_only=True)  # row of this one
+    exchange: str = field(default="joint", kw_only=True)  # one of `EXCHANGES`

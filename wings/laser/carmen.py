@@ -78,46 +78,30 @@ class OdometryLines:
 
 @dataclass(frozen=True)
 class ScanLines:
-    """Scans of one kind, in line order.
+    """Scans of one kind, in line order."""
 
-    Attributes:
-        kind: first word of their lines.
-        ranges: (S, B) m, as in the file.
-        laser, robot: (S, 3) poses of laser and robot in the odometry frame.
-        stamp: (S,) s.
-        line: (S,) in the file.
-        beams: angle of the first beam and step [rad].
-        head: (S, 7) the numbers `HEAD` of each line (ROBOTLASER1), else None.
-        resampled: number of scans that had other beams.
-    """
-
-    kind: str
-    ranges: Array
+    kind: str  # first word of their lines
+    ranges: Array  # (S, B) m, as in the file
+    # laser, robot: (S, 3) poses of laser and robot in the odometry frame
     laser: Array
     robot: Array
-    stamp: Array
-    line: IntArray
-    beams: tuple[float, float]
-    head: Array | None = None
-    resampled: int = 0
+    stamp: Array  # (S,) s
+    line: IntArray  # (S,) in the file
+    beams: tuple[float, float]  # angle of the first beam and step [rad]
+    head: Array | None = None  # (S, 7) the numbers `HEAD` of each line (ROBOTLASER1), else None
+    resampled: int = 0  # number of scans that had other beams
 
 
 @dataclass(frozen=True)
 class CarmenLines:
-    """The contents of a file.
+    """The contents of a file."""
 
-    Attributes:
-        odometry, scans: its lines.
-        parameters: numeric values of PARAM lines.
-        left_out: counts of other lines by kind.
-        neff: (K,) lines with a particle filter's effective number of particles: the poses are the filter's.
-    """
-
+    # odometry, scans: its lines
     odometry: OdometryLines
     scans: ScanLines
-    parameters: Mapping[str, float]
-    left_out: Mapping[str, int]
-    neff: IntArray
+    parameters: Mapping[str, float]  # numeric values of PARAM lines
+    left_out: Mapping[str, int]  # counts of other lines by kind
+    neff: IntArray  # (K,) lines with a particle filter's effective number of particles: the poses are the filter's
 
 
 def parse_carmen(path: Path, content: bytes) -> CarmenLines:

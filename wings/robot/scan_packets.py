@@ -30,19 +30,12 @@ SCAN_BYTES = _HEAD.size + _RANGES.size
 
 
 class Beams(NamedTuple):
-    """Directions of a scan's beams and the largest range, as transmitted.
+    """Directions of a scan's beams and the largest range, as transmitted."""
 
-    Attributes:
-        number: of beams.
-        first: urad, direction of beam 0 from ahead, counter-clockwise.
-        step: nrad, from each beam to the next.
-        reach: mm.
-    """
-
-    number: int
-    first: int
-    step: int
-    reach: int
+    number: int  # of beams
+    first: int  # urad, direction of beam 0 from ahead, counter-clockwise
+    step: int  # nrad, from each beam to the next
+    reach: int  # mm
 
     def scanner(self, sigma: float) -> Scanner:
         """The scanner that has them, in radians and metres, over the robot's centre; `sigma` [m] of a range."""

@@ -32,21 +32,13 @@ CONVERGED = 1e-9  # rad or m; a smaller step ends the iteration
 
 
 class Line(NamedTuple):
-    """A wall.
+    """A wall."""
 
-    Attributes:
-        rho: m, >= 0.
-        alpha: rad, (-pi, pi].
-        cov: (2, 2) covariance of rho and alpha [m, rad].
-        weights: (N,) of the readings, 0 to 1.
-        residuals: (N,) m, signed distances of the echoes from the line, positive beyond it.
-    """
-
-    rho: float
-    alpha: float
-    cov: Array
-    weights: Array
-    residuals: Array
+    rho: float  # m, >= 0
+    alpha: float  # rad, (-pi, pi]
+    cov: Array  # (2, 2) covariance of rho and alpha [m, rad]
+    weights: Array  # (N,) of the readings, 0 to 1
+    residuals: Array  # (N,) m, signed distances of the echoes from the line, positive beyond it
 
 
 def sensor_poses(odometry: Array) -> Array:

@@ -18,29 +18,21 @@ SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 @dataclass(frozen=True)
 class Mending:
-    """How the numbers of a laser recording are read.
+    """How the numbers of a laser recording are read."""
 
-    Attributes:
-        range_unit, odometry_unit: of lengths in the file, a key of `METRES`.
-        angle, time: units of the odometry's headings and of stamps, keys of `RADIANS` and `SECONDS`.
-        clockwise: beams run clockwise: the laser is upside down, or its beams are listed from left to right.
-        laser_turned: deg, heading of the laser on the robot besides what the recording states.
-        beam_step: deg between beams, where the recording's is wrong.
-        max_range: m, from which on a reading is no return.
-        sort_stamps: lines are in the order of their stamps, not in that of the file.
-        odometry: false: it is unknown, and scans alone tell the motion.
-    """
-
+    # range_unit, odometry_unit: of lengths in the file, a key of `METRES`
     range_unit: str = "m"
     odometry_unit: str = "m"
+    # angle, time: units of the odometry's headings and of stamps, keys of `RADIANS` and `SECONDS`
     angle: str = "rad"
     time: str = "s"
+    # clockwise: beams run clockwise: the laser is upside down, or its beams are listed from left to right
     clockwise: bool = False
-    laser_turned: float = 0.0
-    beam_step: float | None = None
-    max_range: float | None = None
-    sort_stamps: bool = False
-    odometry: bool = True
+    laser_turned: float = 0.0  # deg, heading of the laser on the robot besides what the recording states
+    beam_step: float | None = None  # deg between beams, where the recording's is wrong
+    max_range: float | None = None  # m, from which on a reading is no return
+    sort_stamps: bool = False  # lines are in the order of their stamps, not in that of the file
+    odometry: bool = True  # false: it is unknown, and scans alone tell the motion
 
     def ranges(self, ranges: Array) -> Array:
         """In metres."""

@@ -73,7 +73,7 @@ def split(line: str, separator: str | None) -> tuple[str, ...]:
     """Fields of a line; None: at blanks."""
     if separator is None:
         return tuple(line.split())
-    quoted = '"[' in line  # a list in one field
+    quoted = '"[' in line or '"(' in line  # a list in one field
     read = csv.reader([line], delimiter=separator, skipinitialspace=True)
     return tuple(f.strip() for f in (next(read) if quoted else line.split(separator)))
 

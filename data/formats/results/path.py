@@ -91,20 +91,14 @@ COV_ORDERS = (TRANSLATION, ROTATION)
 
 @dataclass(frozen=True)
 class Stated:
-    """What a file states about itself; empty: nothing.
+    """What a file states about itself; empty: nothing."""
 
-    Attributes:
-        world, body: names of its frames.
-        convention: whether it states the frame of its covariances.
-        order: whether it states the order of their tangent.
-        axes: whether the axes are those of its format (not chosen by a flag).
-    """
-
+    # world, body: names of its frames
     world: str = ""
     body: str = ""
-    convention: bool = False
-    order: bool = False
-    axes: bool = False
+    convention: bool = False  # whether it states the frame of its covariances
+    order: bool = False  # whether it states the order of their tangent
+    axes: bool = False  # whether the axes are those of its format (not chosen by a flag)
 
 
 SILENT, UNKNOWN = Stated(), Clock()
@@ -112,29 +106,19 @@ SILENT, UNKNOWN = Stated(), Clock()
 
 @dataclass(frozen=True, eq=False)
 class Spatial(Locked):
-    """A trajectory in space.
+    """A trajectory in space."""
 
-    Attributes:
-        file, kind: as of `GivenPath`.
-        time: (n,) s, ascending.
-        position: (n, 3) m.
-        rotation: (n, 3, 3), world from body.
-        covariance: (n, 6, 6), translation first, then rotation; rows NaN where unknown; None: none.
-        frame: of the covariance (`FRAMES`).
-        place: place of row k, for messages.
-        notes: sentences.
-    """
-
+    # file, kind: as of `GivenPath`
     file: str
     kind: str
-    time: Array
-    position: Array
-    rotation: Array
-    covariance: Array | None
-    frame: str
-    place: Callable[[int], str]
+    time: Array  # (n,) s, ascending
+    position: Array  # (n, 3) m
+    rotation: Array  # (n, 3, 3), world from body
+    covariance: Array | None  # (n, 6, 6), translation first, then rotation; rows NaN where unknown; None: none
+    frame: str  # of the covariance (`FRAMES`)
+    place: Callable[[int], str]  # place of row k, for messages
     stated: Stated = SILENT
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # sentences
     clock: Clock = UNKNOWN
 
     def __len__(self) -> int:
@@ -143,33 +127,24 @@ class Spatial(Locked):
 
 @dataclass(frozen=True, eq=False)
 class GivenPath(Locked):
-    """A trajectory of a file, in the plane.
+    """A trajectory of a file, in the plane."""
 
-    Attributes:
-        file, kind: its name, with the topic of a bag, and the format, in words.
-        time: (n,) s, strictly increasing.
-        pose: (n, 3) x [m], y [m], heading [rad].
-        covariance: (n, 3, 3) of additive errors in the world's axes [x, y, heading]; rows NaN where unknown; None:
-            none.
-        frame: of the file's covariance (`FRAMES`), before conversion; "" without one.
-        outside: least and largest z [m], roll and pitch [rad] of a trajectory in space; empty for a planar file.
-        notes: sentences about ignored or assumed things.
-        space: the trajectory in space at the same stamps, in a robot's axes; None for a planar file.
-        transforms: of other frames, from the same file; None: none.
-        headings: (n,) of a planar file before wrapping, if the file does not state their unit; read as rad.
-    """
-
+    # file, kind: its name, with the topic of a bag, and the format, in words
     file: str
     kind: str
-    time: Array
-    pose: Array
+    time: Array  # (n,) s, strictly increasing
+    pose: Array  # (n, 3) x [m], y [m], heading [rad]
+    # (n, 3, 3) of additive errors in the world's axes [x, y, heading]; rows NaN where unknown; None: none
     covariance: Array | None = None
-    frame: str = ""
+    frame: str = ""  # of the file's covariance (`FRAMES`), before conversion; "" without one
+    # least and largest z [m], roll and pitch [rad] of a trajectory in space; empty for a planar file
     outside: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # sentences about ignored or assumed things
     clock: Clock = UNKNOWN
+    # the trajectory in space at the same stamps, in a robot's axes; None for a planar file
     space: Spatial | None = None
-    transforms: object | None = None
+    transforms: object | None = None  # of other frames, from the same file; None: none
+    # (n,) of a planar file before wrapping, if the file does not state their unit; read as rad
     headings: Array | None = None
 
     def __len__(self) -> int:
@@ -226,31 +201,19 @@ def restamped(path: GivenPath, time: Array, clock: Clock) -> GivenPath:
 
 @dataclass(frozen=True)
 class Manner:
-    """User options that complete a file.
+    """User options that complete a file."""
 
-    Attributes:
-        cov: file with the covariances of a TUM file.
-        times: file with the stamps of KITTI poses.
-        frame: of the covariances (`FRAMES`); None: the format's.
-        axes: of a trajectory in space (`AXES`); None: the format's.
-        order: of the covariances' tangent (`COV_ORDERS`); None: the file's.
-        stamps: unit of the stamps; None: as stated or inferred.
-        angles: unit of headings, roll and pitch (`rad`, `deg`); None: as stated, else rad.
-        lengths: unit of positions (a key of `LENGTH`); None: as stated, else m.
-        columns: names, or numbers from 1, of columns by role (t, x, y, z, roll, pitch, yaw, qx, qy, qz, qw).
-        true: where a row holds both, the true pose is read.
-    """
-
-    cov: Path | None = None
-    times: Path | None = None
-    frame: str | None = None
-    axes: str | None = None
-    order: str | None = None
-    stamps: str | None = None
-    angles: str | None = None
-    lengths: str | None = None
+    cov: Path | None = None  # file with the covariances of a TUM file
+    times: Path | None = None  # file with the stamps of KITTI poses
+    frame: str | None = None  # of the covariances (`FRAMES`); None: the format's
+    axes: str | None = None  # of a trajectory in space (`AXES`); None: the format's
+    order: str | None = None  # of the covariances' tangent (`COV_ORDERS`); None: the file's
+    stamps: str | None = None  # unit of the stamps; None: as stated or inferred
+    angles: str | None = None  # unit of headings, roll and pitch (`rad`, `deg`); None: as stated, else rad
+    lengths: str | None = None  # unit of positions (a key of `LENGTH`); None: as stated, else m
+    # names, or numbers from 1, of columns by role (t, x, y, z, roll, pitch, yaw, qx, qy, qz, qw)
     columns: Mapping[str, str] = field(default_factory=dict)
-    true: bool = False
+    true: bool = False  # where a row holds both, the true pose is read
 
 
 COARSE = 1.0 / 3.0  # Largest share of poses that have the stamp of a different one: of more the stamps lack digits

@@ -19,6 +19,7 @@ from data.formats.results.bags import file_and_topic, is_bag, read_bag
 from data.formats.results.lines import BLOCKS, ENTRIES, EUROC, POSE, TRIANGLE, UNSTAMPED, Text
 from data.formats.results.path import ABSENT, DIGITS, LOCAL, MIXED, WORLD, GivenPath, Manner, Stated
 from data.formats.results.space import UNIT, full, known_only, require_covariances
+from data.questions.examination import in_degrees
 from data.se2 import Array, wrap_angle
 from data.terminal import counted
 
@@ -396,6 +397,11 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
         text = lines.read_text(path)
         read = _reader(text, manner)
         found, cov, times = read(text, manner), read is lines.read_tum, read is lines.read_kitti
+    raw = found.headings
+    if raw is not None and in_degrees(np.column_stack([found.pose[:, :2], raw])):
+        told = "inferred: headings are in degrees, as which alone they follow the motion (else --unit rad)"
+        read_again = read_path(name, replace(manner, angles="deg"))
+        return replace(read_again, notes=(*read_again.notes, told))
     if manner.cov is not None and not cov:
         raise UsageError(f"--cov {manner.cov}: {name} is {found.kind}; a TUM file of 8 columns is needed")
     if manner.times is not None and not times:

@@ -18,18 +18,13 @@ MAP_COVARIANCE = ("c_xx", "c_xy", "c_yy")
 
 @dataclass(frozen=True, eq=False)
 class Companions:
-    """Files beside a result; None: absent.
+    """Files beside a result; None: absent."""
 
-    Attributes:
-        landmarks: the map.
-        decisions: (M, 4) frame, observation within its frame, decision, final decision; (M, 5): and the landmark
-            that it initializes in the end, -1 for none.
-        file: of the decisions.
-    """
-
-    landmarks: MapEstimate | None = None
+    landmarks: MapEstimate | None = None  # the map
+    # (M, 4) frame, observation within its frame, decision, final decision; (M, 5): and the landmark that it initializes
+    # in the end, -1 for none
     decisions: IntArray | None = None
-    file: Path | None = None
+    file: Path | None = None  # of the decisions
 
 
 def companions(folder: Path) -> Companions:

@@ -21,10 +21,12 @@ from data.csv_table import Table, cut_off, is_number
 from data.earth import east_north
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import columns_of, is_arrays
-from data.formats.messages import file_and_word, kinds_of, numbered_rows, whole_names, with_word
+from data.formats.messages import file_and_word, kinds_of, numbered_rows, parts_of, whole_names, with_word
 from data.formats.results.reading import role_of, words_of
 from data.inputs import IntArray
 from data.notice import Notice
+from data.origin import Origin
+from data.questions.examination import heading_unit, in_degrees
 from data.se2 import Array, BoolArray
 from data.terminal import counted
 
@@ -144,6 +146,8 @@ def read_text(path: Path) -> TextTable:
     """The file's rows, of FILE:WORD those that begin with a word; DataError for an unreadable or binary file, one
     without rows, or unequal rows.
     """
+    if len(parts := parts_of(path)) > 1:
+        return _joined(path, parts)
     if is_arrays(path):
         columns, values = columns_of(path)
         return TextTable(path, columns, values, np.arange(1, len(values) + 1), named=True)
@@ -208,11 +212,33 @@ def read_text(path: Path) -> TextTable:
     return TextTable(path, tuple(shown), tuple(rows), number, names is not None, comma)
 
 
+def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
+    """One table of several files: of a folder one below the other, with the number of the file as `frame`; else side by
+    side, with columns named as the file (NAME1, NAME2, ... of several). DataError for unequal columns or rows.
+    """
+    tables = [read_text(part) for part in parts]
+    first, below = tables[0], path.is_dir()
+    if len({len(t.names) if below else len(t) for t in tables}) > 1:
+        what = f"files of unequal numbers of {'columns' if below else 'rows'}; as many in each are needed"
+        raise DataError.at(path, what)
+    if below:
+        names: tuple[str, ...] = ("frame", *first.names)
+        rows = tuple((str(k), *row) for k, t in enumerate(tables) for row in t.rows)
+    else:
+        each = [[(t.path.stem, k + 1, name) for k, name in enumerate(t.names)] for t in tables]
+        named = [name if t.named else f"{stem}{k}" if len(t.names) > 1 else stem
+                 for t, own in zip(tables, each, strict=True) for stem, k, name in own]  # fmt: skip
+        names, rows = tuple(named), tuple(sum(several, ()) for several in zip(*(t.rows for t in tables), strict=True))
+    return TextTable(path, names, rows, np.arange(1, len(rows) + 1), named=True)
+
+
 def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
     """A row for each landmark of a table with a column for each, of names with a star by quantity; what the star stands
-    for is the label. Blank, infinite and negative ranges are no observation. DataError where no column matches.
+    for is the label, but of columns that are filled from the left, as far as a row has observations. Blank, infinite,
+    zero and negative ranges are no observation. DataError where no column matches.
     """
     found: dict[str, dict[str, int]] = {}
+    own = not {"label", "true_id"} & set(patterns)
     for quantity, pattern in patterns.items():
         match = re.compile(re.escape(pattern).replace(r"\*", "(.*)")).fullmatch
         for j, name in enumerate(file.names):
@@ -224,16 +250,40 @@ def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
     taken = {j for of in found.values() for j in of.values()}
     rest = [j for j in range(len(file.names)) if j not in taken]
     whole = all(star.isdecimal() for star in labels)
-    rows, line = [], []
-    for row, number in zip(file.rows, file.line.tolist(), strict=True):
-        for k, (star, of) in enumerate(labels.items()):
-            values = {q: row[j] for q, j in of.items()}
-            numbers = {q: float(v) if is_number(v) else math.nan for q, v in values.items()}
-            if all(map(math.isfinite, numbers.values())) and numbers.get("range", 0.0) >= 0.0:
-                rows.append((*(row[j] for j in rest), *values.values(), star if whole else str(k)))
-                line.append(number)
-    names = (*(file.names[j] for j in rest), *patterns, "label")
-    return replace(file, names=names, rows=tuple(rows), line=np.array(line, np.int64), named=True)
+    seen = [[k for k, of in enumerate(labels.values()) if _observed(row, of)] for row in file.rows]
+    own &= len(set(map(len, seen))) < SLOTS or any(some != list(range(len(some))) for some in seen)
+    named = [star if whole else str(k) for k, star in enumerate(labels)]
+    columns = list(labels.values())
+    rows = [
+        (*(row[j] for j in rest), *(row[j] for j in columns[k].values()), *[named[k]] * own)
+        for row, some in zip(file.rows, seen, strict=True)
+        for k in some
+    ]
+    line = np.repeat(file.line, list(map(len, seen)))
+    names = (*(file.names[j] for j in rest), *patterns, *["label"] * own)
+    return replace(file, names=names, rows=tuple(rows), line=line, named=True)
+
+
+def _observed(row: Sequence[str], of: Mapping[str, int]) -> bool:
+    values = {q: float(row[j]) if is_number(row[j]) else math.nan for q, j in of.items() if q in STARRED}
+    return all(map(math.isfinite, values.values())) and values.get("range", 1.0) > 0.0
+
+
+SLOTS = 3  # Least different numbers of filled columns, from the left always, which no landmarks in sight would make
+STARRED, IDS = ("range", "bearing", "x", "y"), ("label", "true_id")
+"""Quantities of observations that may have a column for each landmark, or for each of several in a row, with ids."""
+
+
+def stars(file: TextTable) -> dict[str, str]:
+    """Names with a star by quantity, of a file whose columns are ranges and bearings of several landmarks each."""
+    found: dict[str, str] = {}
+    for name in file.names if file.named else ():
+        if (matched := re.fullmatch(r"(.*?)(_?)\d+", name)) is not None:
+            word = "".join(words_of(matched[1])[0])
+            usual = {q: (q.replace("_", ""), *ALSO.get(q, ())) for q in ("range", "bearing", *IDS)}
+            usual["label"] += ("id",)
+            found |= {q: f"{matched[1]}{matched[2]}*" for q, named in usual.items() if word in named}
+    return found if {"range", "bearing"} <= set(found) and not {"range", "bearing"} & set(file.names) else {}
 
 
 ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}
@@ -246,7 +296,8 @@ STAMPS = ("t", "t1", "t2")
 INSTANTS = {*STAMPS, "frame", "frame1"}
 QUANTITIES = {
     **dict.fromkeys(STAMPS, "time"), **dict.fromkeys(("x", "y", "dx", "dy", "range", "sx", "sy"), "length"),
-    **dict.fromkeys(("theta", "dtheta", "bearing", "stheta"), "angle"), "v": "length/time", "omega": "angle/time",
+    **dict.fromkeys(("theta", "dtheta", "bearing", "stheta", "steering"), "angle"),
+    "v": "length/time", "omega": "angle/time",
     **dict.fromkeys(("left", "right", "frame", "id", "true_id", "label", "qx", "qy", "qz", "qw"), ""),
     **dict.fromkeys(("frame1", "frame2", "source", "descriptor", "class", "kind", "lat", "lon"), ""),
 }  # fmt: skip
@@ -329,7 +380,9 @@ MORE: dict[str, tuple[str, ...]] = {
 ALSO = {
     "v": ("velocity", "vel", "speed", "linearvelocity", "linvel"),
     "omega": ("w", "yawrate", "angularvelocity", "angvel", "turnrate"),
-    "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg"),
+    "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg", "b"),
+    "dx": ("d", "ds", "deltas", "deltad", "deltax"), "dy": ("deltay",), "dtheta": ("deltatheta", "deltayaw", "dyaw"),
+    "steering": ("steer", "steeringangle"),
     "x": ("gpsx", "uwbx", "east", "easting"), "y": ("gpsy", "uwby", "north", "northing"),
     "label": ("landmarkid", "beaconid", "markerid", "tagid"), "lat": ("latitude",), "lon": ("longitude", "lng"),
 }  # fmt: skip
@@ -344,7 +397,8 @@ class Columns:
     `offsets`: s added to the stamps of a role's file; `roles`: of files, with the names of sensors; `used`: keys that
     named a column so far; `read`: columns (file, number) that were read; `notes`: about rows that were left out;
     `asked`: questions that only the files raise; `datum`: latitude and longitude [deg] of the origin, of the first
-    place in degrees.
+    place in degrees; `origins`: of what the data tell, or nobody; `period`: s between rows of an odometry without
+    stamps.
     """
 
     given: Mapping[str, str]
@@ -356,6 +410,8 @@ class Columns:
     notes: list[str] = field(default_factory=list)
     asked: list[Notice] = field(default_factory=list)
     datum: list[float] = field(default_factory=list)
+    origins: dict[str, Origin] = field(default_factory=dict)
+    period: float | None = None
 
     def __post_init__(self) -> None:
         for key, name in self.given.items():
@@ -438,6 +494,25 @@ class Columns:
         (column,) = self.require(file, role, ("t",))
         values = file.numbers(column, keep, stamps=self.units.is_date(role)) * self.units.factor(role, "t")
         return values + self.offsets.get(role, 0.0)
+
+    def turned(self, file: TextTable, role: str, time: Array, pose: Array) -> Array:
+        """Poses (K, 3) in radians: headings that follow the course as degrees only are converted, which is noted. Of a
+        stated unit, and of others that turn too fast, there is a question.
+        """
+        key = f"{role}.theta"
+        if self.units.factor(role, "theta") != 1.0:
+            return pose
+        if in_degrees(pose) and not {key, "theta", "angle"} & set(self.units.given):
+            self.origins["units"] = Origin.INFERRED
+            self.units.given[key] = "deg"
+            largest = float(np.nanmax(np.abs(pose[:, 2])))
+            told = f"headings reach {largest:.4g}, and follow the motion as degrees only"
+            self.notes.append(
+                f"{file.path.name}: inferred: --unit {key}=deg, as {told} (--unit {key}=rad reads them as written)"
+            )
+            return pose * [1.0, 1.0, ANGLE["deg"]]
+        self.asked += heading_unit(file.path.name, time, pose, f"--unit {key}=deg")
+        return pose
 
     def say_unused(self, files: Mapping[str, TextTable]) -> None:
         """Note the columns of named files, by role, that nothing used, with what they likely are."""

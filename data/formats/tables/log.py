@@ -17,7 +17,7 @@ from data.columns.poses import RELATIVE
 from data.csv_table import Table, is_name
 from data.digest import file_sha256
 from data.errors import DataError, UsageError, unknown
-from data.formats.messages import file_and_word
+from data.formats.messages import file_and_word, parts_of
 from data.formats.open_log import Recording, Samples
 from data.formats.recordings.laser import FLOOR
 from data.formats.results.path import ABSENT, COARSE, unturned
@@ -31,7 +31,6 @@ from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Lo
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
 from data.origin import Origin, Origins
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource
-from data.questions.examination import heading_unit
 from data.se2 import Array, BoolArray
 from data.sensors import RangeBearing, Sensor
 from data.terminal import counted
@@ -39,31 +38,25 @@ from data.timeline import MAX_GAP, frame_times, truth_at, usual_gap
 from data.truth import Truth
 
 SIGMAS = ("sx", "sy", "stheta")
+FIX_SIGMA = (1.0, 1.0, math.radians(5.0))  # m and rad, of fixes whose noise nobody states
 MANY = 50  # Most observations that may have the stamp of another one
 LONGEST = 1e6  # s, longest log; stamps in another unit would fill the memory with keyframes
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Observations of a sensor, fixes or closures in the order of their (later) instants.
+    """Observations of a sensor, fixes or closures in the order of their (later) instants."""
 
-    Attributes:
-        what, one: all, and one of them, in a message.
-        table: what they measure.
-        at: (K, 1) s, as the odometry's; of closures (K, 2).
-        stamped: at their own stamps, not at rows of the odometry.
-        z, sigma: (K, 3) of fixes and closures, NaN where not measured; (K, 2) of observations.
-        source: (K,) row in `names` of fixes and closures.
-    """
-
+    # what, one: all, and one of them, in a message
     what: str
     one: str
-    table: Table
-    at: Array
-    stamped: bool
+    table: Table  # what they measure
+    at: Array  # (K, 1) s, as the odometry's; of closures (K, 2)
+    stamped: bool  # at their own stamps, not at rows of the odometry
+    # z, sigma: (K, 3) of fixes and closures, NaN where not measured; (K, 2) of observations
     z: Array
     sigma: Array
-    source: IntArray
+    source: IntArray  # (K,) row in `names` of fixes and closures
     names: tuple[str, ...] = ()
 
     def part(self, rows: IntArray) -> Rows:
@@ -129,7 +122,11 @@ def read_fixes(file: TextTable, wanted: Wanted, odometry: Odometry, notes: list[
     if half.any():
         row = int(np.argmax(half))
         raise table.error(row, "y" if np.isnan(z[row, 1]) else "x", "blank; both x and y, or neither, are needed")
-    found = _measured(role, table, file.path, _at(table, keys, stamped, odometry), stamped, z, wanted.fix_sigma)
+    default = wanted.fix_sigma
+    if default is None and not table.together(SIGMAS[:2]) and "stheta" not in table:
+        default, columns.origins["fix_noise"] = np.array(FIX_SIGMA), Origin.ASSUMED
+        notes.append("assumed: --fix-sigma 1m,1m,5deg")
+    found = _measured(role, table, file.path, _at(table, keys, stamped, odometry), stamped, z, default)
     filled = ~np.isnan(z).all(axis=1)
     if not filled.all():
         notes.append(f"{file.path.name}: {counted(int((~filled).sum()), 'row')} without a fix")
@@ -328,16 +325,16 @@ def read_log(name: str, wanted: Wanted) -> Recording:
             text = f"{sensor.label}={sensor.sees}" if sensor.label else sensor.sees
             raise UsageError(f"--sees {text}: {have}; column {KIND} of the map names them (--columns map.{KIND}=NAME)")
     inputs = Inputs(
-        prior=_prior(wanted, pose, known, increments.mean, absolute=fixes is not None), time=time,
+        prior=_prior(wanted, pose, known, increments.mean, fixes), time=time,
         increments=replace(increments, covariance=covariance), observations=observed, sensor=sensors[0],
         sensors=sensors if len(sensors) > 1 else (), map=known, time_is_index=not odometry.stamped,
         covariance_floor=FLOOR, floored=floored, fixes=fixes, closures=together(measured), scans=scans,
     )  # fmt: skip
     several = [of.sensor.label for of in wanted.sensors if of.sensor.label]
     files = {role: path.name for role, path in wanted.files.items() if role not in several}
-    digest = {role: file_sha256(file_and_word(path)[0]) for role, path in wanted.files.items()}
+    digest = {role: _digest(path) for role, path in wanted.files.items()}
     files |= {f"{role}_sha256": digest[role] for role in wanted.files if role not in several}
-    more: dict[str, object] = {ODOMETRY_KIND: wanted.kind}
+    more: dict[str, object] = {ODOMETRY_KIND: "velocities" if odometry.velocities else wanted.kind}
     if several:
         more[SENSOR] = {name: {"file": wanted.files[name].name, "sha256": digest[name]} for name in several}
     if odometry.velocities and len(odometry.time) > 1:
@@ -360,6 +357,13 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     return Recording(log, Samples(odometry.time, odometry.motion, VelocityModel(wanted.noise, wanted.model), stamped))
 
 
+def _digest(path: Path) -> str:
+    parts = parts_of(path)
+    if len(parts) == 1 or path.is_dir():
+        return file_sha256(file_and_word(path)[0])
+    return " ".join(map(file_sha256, parts))
+
+
 def _origins(wanted: Wanted) -> Origins:
     """Where all that no file states comes from."""
     given = {"fix_noise": wanted.fix_sigma, "closure_noise": wanted.closure_sigma, "prior": wanted.prior}
@@ -370,7 +374,7 @@ def _origins(wanted: Wanted) -> Origins:
         found["range_noise"] = Origin.ASSUMED
     for of in wanted.sensors:
         found |= {f"{q}.{of.sensor.label}" if of.sensor.label else q: origin for q, origin in of.origins.items()}
-    return found | dict.fromkeys(wanted.assumed, Origin.ASSUMED)
+    return found | dict.fromkeys(wanted.assumed, Origin.ASSUMED) | wanted.columns.origins
 
 
 def _from_truth_on(
@@ -465,9 +469,7 @@ def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePose
     if level or not np.isfinite(turn).any():
         read[:, 2] = np.nan
         columns.notes.append(f"{file.path.name}: {ABSENT}")
-    if unit == 1.0:
-        time = values["t"] if by_stamp else np.arange(len(read), dtype=float)
-        columns.asked += heading_unit(file.path.name, time, read, "--unit truth.theta=deg")
+    read = columns.turned(file, "truth", values["t"] if by_stamp else np.arange(len(read), dtype=float), read)
     read[~np.isfinite(read[:, :2]).all(axis=1)] = np.nan
     world = se2.compose(wanted.truth_pose, read) if wanted.truth_pose.any() else read
     if by_stamp:
@@ -523,6 +525,7 @@ def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) ->
     return result
 
 
+CLEAR = 15.0  # Way from the start over the sigma of fixes, from which on these tell the heading to 10 deg
 FAR, LOOSE = 1.0, math.radians(10.0)  # m, way from the start that tells its heading; rad, least deviation of that
 
 
@@ -537,10 +540,33 @@ def _ahead(pose: Array, moved: Array) -> float | None:
     return float(se2.wrap_angle(turned))
 
 
-def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None, moved: Array, *, absolute: bool) -> Prior:
-    """Belief about the first pose; `moved`: increments (N, 3); `absolute`: there are fixes."""
+def _onto_fixes(fixes: Fixes, moved: Array) -> tuple[Array, float] | None:
+    """The first pose that takes the odometry's increments (N, 3) to the first fixes of a place, as far as tells the
+    heading, and the standard deviation [m] of these; None: no such way.
+    """
+    rows = np.flatnonzero(fixes.kind == FixKind.POSITION)
+    if not len(rows):
+        return None
+    path = se2.dead_reckoned(np.zeros(3), moved)[fixes.frame[rows], :2]
+    sigma = math.sqrt(float(np.median(fixes.covariance[rows, 0, 0])))
+    far = np.flatnonzero(np.hypot(*(path - path[0]).T) > max(FAR, CLEAR * sigma))
+    if not len(far):
+        return None
+    return se2.rigid_fit(path[: far[0] + 1], fixes.z[rows[: far[0] + 1], :2]), sigma
+
+
+def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None, moved: Array, fixes: Fixes | None) -> Prior:
+    """Belief about the first pose; `moved`: increments (N, 3)."""
+    free = wanted.prior is None and pose is None and known is None
+    if free and fixes is not None and (found := _onto_fixes(fixes, moved)) is not None:
+        start, around = found
+        wanted.columns.origins["prior"] = Origin.INFERRED
+        x, y, turn = start.tolist()
+        text = f"--prior={x:.4g},{y:.4g},{math.degrees(turn):.3g}deg --prior-sigma {around:.3g},{around:.3g},10deg"
+        wanted.columns.notes.append(f"inferred: {text}, which takes odometry to the fixes")
+        return Prior(start, np.diag([around**2, around**2, LOOSE**2]))
     if wanted.prior is None:
-        if pose is not None or known is not None or absolute:
+        if pose is not None or known is not None or fixes is not None:
             frame = "truth" if pose is not None else "fixes" if known is None else "map"
             what = f"unknown start in the frame of the {frame}"
             right = "--prior X,Y,THETA (m, rad; or as in 90deg), or --prior truth for the first true pose, is needed"

@@ -21,22 +21,23 @@ from data.formats.tables.files import QUATERNION, SECOND, Columns, TextTable, he
 from data.inputs import Increments
 from data.motion.velocity import MAX_HOLD, VelocityModel, VelocityNoise, preintegrate, told
 from data.pose_measurements import Closures
-from data.questions.examination import heading_unit
 from data.se2 import Array
 from data.terminal import counted
 
 KINDS = {
     "velocities": ("v", "omega"), "poses": ("x", "y", "theta"), "steps": ("dx", "dy", "dtheta"),
-    "ticks": ("left", "right"),
+    "ticks": ("left", "right"), "car": ("v", "steering"),
 }  # fmt: skip
-"""Columns of each kind of odometry; steps are the motion since the row before, in the body frame there."""
-STAMPED = ("velocities",)  # Kinds that need stamps
+"""Columns of each kind of odometry; steps are the motion since the row before, in the body frame there, and may lack
+dy; a car has speeds of its rear axle and angles of its front wheels."""
+STAMPED = ("velocities", "car")  # Kinds that need stamps
 
 
 @dataclass(frozen=True)
 class Wheels:
     """Wheels of ticks: track_width [m], metres per tick left and right, whether each row counts from the one before
-    (`each`), the number of ticks at which a counter restarts (0: never), and whether they are per s (`rate`).
+    (`each`), the number of ticks at which a counter restarts (0: never), and whether they are per s (`rate`); of a car
+    the distance between its axles is in the place of the track width.
     """
 
     track_width: float
@@ -59,21 +60,13 @@ Noises = VelocityNoise | TravelNoise | StepNoise
 
 @dataclass(frozen=True, eq=False)
 class Odometry:
-    """One file's odometry.
+    """One file's odometry."""
 
-    Attributes:
-        table: its rows, for messages.
-        time: (K,) s, strictly increasing; row numbers without stamps.
-        stamped: whether there are stamps.
-        motion: (K, 2) velocities [m/s, rad/s], or (K, 3) poses, composed or recorded.
-        rows: (F,) s, the instant of each row of the file, merged and blank ones too; NaN: it has none.
-    """
-
-    table: Table
-    time: Array
-    stamped: bool
-    motion: Array
-    rows: Array
+    table: Table  # its rows, for messages
+    time: Array  # (K,) s, strictly increasing; row numbers without stamps
+    stamped: bool  # whether there are stamps
+    motion: Array  # (K, 2) velocities [m/s, rad/s], or (K, 3) poses, composed or recorded
+    rows: Array  # (F,) s, the instant of each row of the file, merged and blank ones too; NaN: it has none
 
     @property
     def velocities(self) -> bool:
@@ -119,7 +112,7 @@ class Odometry:
 
 def kind_of(file: TextTable, columns: Columns, role: str) -> str:
     """The only kind of odometry whose columns a file has; DataError for none or several."""
-    pose = {"poses": pose_columns(file, columns, role)}
+    pose = {"poses": pose_columns(file, columns, role), "steps": ("dx", "dtheta")}
     found = [k for k, qs in KINDS.items() if columns.has(file, role, pose.get(k, qs))]
     named = [k for k in found if columns.stated(role, KINDS[k])] or [k for k in found if {*KINDS[k]} <= {*file.names}]
     if len(named or found) == 1:
@@ -145,10 +138,16 @@ def read_odometry(
 ) -> Odometry:
     """The odometry of a file; DataError for missing or invalid columns, UsageError for ticks without wheels."""
     quantities = pose_columns(file, columns, role) if kind == "poses" else KINDS[kind]
+    if kind == "steps" and columns.find(file, role, "dy") is None:
+        columns.notes.append(f"{file.path.name}: assumed: steps have no dy, so the robot moves ahead alone")
+        quantities = ("dx", "dtheta")
     stamped = columns.find(file, role, "t") is not None
-    if not stamped and kind in STAMPED:
+    if not stamped and kind in STAMPED and columns.period is None:
         columns.require(file, role, ("t",))
     table, skipped = columns.table(file, role, (*(("t",) if stamped else ()), *quantities))
+    if not stamped and columns.period is not None:
+        table = replace(table, columns={**table.columns, "t": columns.period * np.arange(len(table), dtype=float)})
+        stamped = True
     if len(table) == 0:
         raise DataError.at(file.path, f"no row has {', '.join(quantities)}")
     notes = columns.notes
@@ -175,15 +174,19 @@ def read_odometry(
     if skipped:
         notes.append(f"{file.path.name}: {counted(skipped, 'row')} without odometry")
     values = table.columns
+    if kind == "car":
+        if wheels is None:
+            raise UsageError("speed and steering of a car: --wheel-base M, the distance between its axles, is needed")
+        omega = values["v"] * np.tan(values["steering"]) / wheels.track_width
+        return Odometry(table, time, stamped, np.stack([values["v"], omega], axis=-1), instants)
     if kind == "velocities":
         return Odometry(table, time, stamped, table.stack(("v", "omega")), instants)
     if kind == "poses":
         pose = np.stack([values["x"], values["y"], headings(values, columns.units.factor(role, "theta"))], axis=-1)
-        if columns.units.factor(role, "theta") == 1.0:
-            columns.asked += heading_unit(file.path.name, time, pose, f"--unit {role}.theta=deg")
+        pose = columns.turned(file, role, time, pose)
         pose[:, 2] = se2.wrap_angle(pose[:, 2])
     elif kind == "steps":
-        steps = table.stack(KINDS["steps"])
+        steps = np.stack([values.get(q, 0.0 * values["dx"]) for q in KINDS["steps"]], axis=-1)
         pose = se2.dead_reckoned(np.zeros(3), np.concatenate([np.zeros((1, 3)), steps[1:]]))
         if steps[0].any():
             notes.append(f"{file.path.name}: the step of the first row precedes the log and is ignored")

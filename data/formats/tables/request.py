@@ -21,8 +21,22 @@ from data.csv_table import is_name
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.recordings.laser import TravelNoise
 from data.formats.tables import files as table_files
-from data.formats.tables.files import POSE, ROLES, SECOND, STAMPED, TRAVEL, Columns, Given, TextTable, Units
+from data.formats.tables.files import (
+    IDS,
+    POSE,
+    ROLES,
+    SECOND,
+    STAMPED,
+    STARRED,
+    TRAVEL,
+    Columns,
+    Given,
+    TextTable,
+    Units,
+)
+from data.formats.tables.files import stars as stars_of
 from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of
+from data.formats.tables.motion import STAMPED as STAMPED_KINDS
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise
 from data.origin import Origin, Origins
 from data.se2 import Array
@@ -55,7 +69,6 @@ ASSUMED = {"density": "5cm,2deg", "travel": ",".join(map("{:g}".format, TravelNo
 """Noise of an odometry that nobody states, by model: measured on a robot with wheels in an office."""
 
 
-STARRED = ("range", "bearing", "x", "y")  # Quantities that may have a column for each landmark
 SEEN: dict[tuple[str, ...], type[Sensor]] = {
     ("range",): Range, ("bearing",): Bearing, ("range", "bearing"): RangeBearing, ("x", "y"): RelativePoint,
 }  # fmt: skip
@@ -64,19 +77,14 @@ SEEN: dict[tuple[str, ...], type[Sensor]] = {
 
 @dataclass(frozen=True, eq=False)
 class TableSensor:
-    """A sensor of tables, in SI units.
+    """A sensor of tables, in SI units."""
 
-    Attributes:
-        role: of its file, among the files and in keys of columns: its name, or "observations" of the only one.
-        measured: its columns, a key of `SEEN`; sensor: its label is blank where it is the only one.
-        origins: of its noise, place, and reach, which is as observed where it is inferred.
-        sigma: (2,) of an observation; looks: noise of descriptors and classes; what is None is not read.
-    """
-
-    role: str
+    role: str  # of its file, among the files and in keys of columns: its name, or "observations" of the only one
+    # measured: its columns, a key of `SEEN`; sensor: its label is blank where it is the only one
     measured: tuple[str, ...]
     sensor: Sensor
-    origins: Origins
+    origins: Origins  # of its noise, place, and reach, which is as observed where it is inferred
+    # sigma: (2,) of an observation; looks: noise of descriptors and classes; what is None is not read
     sigma: Array
     looks: Noise
 
@@ -211,43 +219,36 @@ FROM_TRUTH = "truth"  # The prior's mean is the first true pose
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """The request, in SI units.
+    """The request, in SI units."""
 
-    Attributes:
-        files, texts: by role (odometry, observations or the name of a sensor, map, truth, fixes, closures).
-        kind, noise: of the odometry; model: how velocities become increments.
-        prior: mean (3,), "truth", or None: the frame of the log starts at the robot; prior_sigma (3,) or None.
-        map_pose: (3,) pose of the map's frame in the world; truth_pose: of the truth's.
-        every_row: every odometry row is a frame, not only those with observations.
-        backward: a row's velocities held since the row before; else until the next one.
-        fix_sigma, closure_sigma: (3,) of x, y, theta where a row states none, NaN unknown; None: not stated.
-        scanner: (3,) first angle, step [rad] and reach [m] of scans; None: columns state them.
-        fix_lever, fix_rotation: place [m] and direction [rad] in the body frame of what measures the fixes.
-        assumed: quantities of `Origins` that nobody stated.
-    """
-
+    # files, texts: by role (odometry, observations or the name of a sensor, map, truth, fixes, closures)
     files: Mapping[str, Path]
     texts: Mapping[str, TextTable]
     columns: Columns
+    # kind, noise: of the odometry; model: how velocities become increments
     kind: str
     wheels: Wheels | None
     noise: Noises
     model: str
     sensors: tuple[TableSensor, ...]
+    # mean (3,), "truth", or None: the frame of the log starts at the robot; prior_sigma (3,) or None
     prior: Array | str | None
     prior_sigma: Array | None
+    # map_pose: (3,) pose of the map's frame in the world; truth_pose: of the truth's
     map_pose: Array
     truth_pose: Array
-    every_row: bool
+    every_row: bool  # every odometry row is a frame, not only those with observations
     sensed: bool
-    backward: bool = False
+    backward: bool = False  # a row's velocities held since the row before; else until the next one
+    # fix_sigma, closure_sigma: (3,) of x, y, theta where a row states none, NaN unknown; None: not stated
     fix_sigma: Array | None = None
     closure_sigma: Array | None = None
+    # fix_lever, fix_rotation: place [m] and direction [rad] in the body frame of what measures the fixes
     fix_lever: tuple[float, float] = (0.0, 0.0)
     fix_rotation: float = 0.0
     second: Second | None = None
-    scanner: Array | None = None
-    assumed: tuple[str, ...] = ()
+    scanner: Array | None = None  # (3,) first angle, step [rad] and reach [m] of scans; None: columns state them
+    assumed: tuple[str, ...] = ()  # quantities of `Origins` that nobody stated
 
 
 TABLES = ("columns", "unit", "time-offset")  # Flags of pairs KEY=VALUE, tables of a mapping file
@@ -325,19 +326,27 @@ def settle(given: Given) -> Wanted:
     given = {**given, LENGTH: units.given.get(LENGTH, "")}
     named = table_files.pairs(given.get("columns", {}), "columns")
     columns = Columns(named, units, _offsets(given, files, several), roles=(*ROLES, *several))
+    if "period" in given:
+        columns.period = table_files.quantity_with_unit(str(given["period"]), "time", "--period")
     if given[LENGTH]:
         columns.notes.append(f"lengths of flags without a unit are in {given[LENGTH]}, as --unit states")
     # a file with several roles is read once
     read = {path: table_files.read_text(path) for path in dict.fromkeys(files.values())}
     texts = {role: read[path] for role, path in files.items()}
     for role in (OBSERVATIONS, *several):
-        stars = {q: n for q in STARRED if "*" in (n := named.get(f"{role}.{q}", named.get(q, "")))}
+        stated = {q: named.get(f"{role}.{q}", named.get(q, "")) for q in (*STARRED, *IDS)}
+        stars = {q: n for q, n in stated.items() if "*" in n}
+        if role in texts and not stars and not any(stated[q] for q in STARRED) and (stars := stars_of(texts[role])):
+            columns.notes.append(f"inferred: --columns {','.join(f'{q}={n}' for q, n in stars.items())}")
         if role in texts and stars:
             texts[role] = table_files.unpivoted(texts[role], stars)
+            if not {"label", "true_id"} & {*texts[role].names}:
+                told = "filled from the left, so they are no labels (--columns label=NAME* names some)"
+                columns.notes.append(f"inferred: columns {', '.join(stars.values())} are {told}")
             columns.given = {k: n for k, n in columns.given.items() if n not in stars.values()}
     kind = _kind(given, texts["odometry"], columns, "odometry", tuple(KINDS))
     for flag in ("hold", "integrate"):
-        if flag in given and kind != "velocities":
+        if flag in given and kind not in STAMPED_KINDS:
             raise UsageError(f"--{flag} {given[flag]}: for velocities; the odometry has {kind}")
     second, starts = _second(given, texts, columns), "truth" in files and "prior" not in given
     if starts:
@@ -406,6 +415,11 @@ def _offsets(given: Given, files: Mapping[str, Path], sensors: Collection[str]) 
 
 
 def _wheels(given: Given, kind: str) -> Wheels | None:
+    if kind != "car" and "wheel-base" in given:
+        raise UsageError(f"--wheel-base {given['wheel-base']}: of speed and steering; the odometry has {kind}")
+    if kind == "car" and "wheel-base" in given:
+        base = _numbers(given, "wheel-base", ("length",), "the distance between the axles", zero=False)
+        return Wheels(float(base[0]), (1.0, 1.0))
     if kind != "ticks":
         for flag in ("track-width", "metres-per-tick", "tick-wrap", "ticks"):
             if flag in given:
@@ -434,10 +448,10 @@ def _second(given: Given, texts: Mapping[str, TextTable], columns: Columns) -> S
             if flag in given:
                 raise UsageError(f"--{flag} {given[flag]}: there is none; --{SECOND} FILE names it")
         return None
-    known = [kind for kind in KINDS if kind != "ticks"]
+    known = [kind for kind in KINDS if kind not in ("ticks", "car")]
     kind = _kind(given, texts[SECOND], columns, SECOND, known)
-    if kind == "ticks":
-        what = f"wheel ticks; {', '.join(known)} are needed, or make it the first"
+    if kind not in known:
+        what = f"{'wheel ' * (kind == 'ticks')}{kind}; {', '.join(known)} are needed, or make it the first"
         raise UsageError(f"--{SECOND} {given[SECOND]}: {what}")
     return Second(kind, _noise(given, kind, columns.notes, SECOND))
 
@@ -445,7 +459,7 @@ def _second(given: Given, texts: Mapping[str, TextTable], columns: Columns) -> S
 def _noise(given: Given, kind: str, notes: list[str], of: str = "odometry") -> Noises:
     """Odometry noise, by the kind of odometry, in flags that begin with `of`; a note where it is assumed."""
     stated = f"{of}-sigma"
-    velocities = kind == "velocities"
+    velocities = kind in STAMPED_KINDS
     default = "density" if velocities else "travel"
     known = ("density", "velocity", "displacement", "textbook") if velocities else ("travel", "step")
     model = str(given.get(f"{of}-noise", default))

@@ -11,7 +11,6 @@ from typing import cast
 
 import numpy as np
 import scipy
-from scipy.spatial.transform import Rotation
 
 from data import se2, se3
 from data.errors import DataError
@@ -275,7 +274,8 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     bodies = np.swapaxes(ours.rotation, -1, -2) @ theirs.rotation
     same_world = _spread(worlds) <= _spread(bodies)
     # whether quaternions fit the truth's tilt when their first number is w
-    turned = Rotation.from_quat(np.roll(Rotation.from_matrix(ours.rotation.copy()).as_quat(), -1, axis=1)).as_matrix()
+    of = scipy.spatial.transform.Rotation
+    turned = of.from_quat(np.roll(of.from_matrix(ours.rotation.copy()).as_quat(), -1, axis=1)).as_matrix()
     fitted = np.median(tilts(Poses(ours.position, turned), theirs))
     first = bool(not both.estimate.stated.axes and _same_vertical(ours, theirs) and fitted < 0.5 * TILTED)
     which = "quaternion" if first else "world" if same_world else "body"
@@ -413,7 +413,7 @@ def _first_is_w(path: GivenPath) -> bool:
     s = path.space
     if s is None or len(s) < FEW or s.stated.axes or not np.isfinite(s.rotation).all():  # matrices, or no headings
         return False
-    q = Rotation.from_matrix(s.rotation.copy()).as_quat()
+    q = scipy.spatial.transform.Rotation.from_matrix(s.rotation.copy()).as_quat()
     return bool(np.abs(q[:, 1:3]).max() < LEVEL and np.ptp(q[:, 0]) > 0.3)
 
 

@@ -228,6 +228,8 @@ class Duplicates:
         if pairs:
             ledger.end_epoch()
             return pairs
+        if not agreeing(slam, ledger, here, there)[2].any():
+            return []
         chance = constants.SINGLE_CHANCE, constants.SINGLE_CHANCE_YOUNG * constants.SINGLE_CHANCE
         return single(slam, ledger, here, there.intersection(old), chance[0] / around, scale) or single(
             slam, ledger, here, there, chance[1] / around, scale
@@ -291,21 +293,26 @@ def constellation(
     return [(young[i], old[j]) for i, j in recognize(c.new, c.old, c.cross, allowed, density, turn, scale)]
 
 
+def agreeing(
+    slam: EkfSlam, ledger: Ledger, window: Collection[int], others: Collection[int]
+) -> tuple[IntArray, IntArray, BoolArray]:
+    """Members (m,) of the window and others (n,) of which some may be at one place, and which of them (m, n)."""
+    gate = gate_threshold(constants.SAME_GATE)
+    young, old = comparable(slam, sorted(window), sorted(others), gate)
+    if not young or not old:
+        return np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 0), np.bool_)
+    c = compare(slam, ledger, young, old)
+    return np.array(young), np.array(old), (c.d2 < gate) & ~c.covisible
+
+
 def single(
     slam: EkfSlam, ledger: Ledger, window: Collection[int], others: Collection[int], area: float, scale: float
 ) -> Pairs:
     """At most one pair of the window and others, at one place with no other landmark near. `area` [m^2]: upper limit of
     the gate of their difference; `scale`: learned variance scale.
     """
-    gate = gate_threshold(constants.SAME_GATE)
-    if not window or not others:
-        return []
-    young, old = comparable(slam, sorted(window), sorted(others), gate)
-    if not young or not old:
-        return []
-    c = compare(slam, ledger, young, old)
-    may = (c.d2 < gate) & ~c.covisible
-    every = np.union1d(np.array(young)[may.any(axis=1)], np.array(old)[may.any(axis=0)])
+    gate, (young, old, may) = gate_threshold(constants.SAME_GATE), agreeing(slam, ledger, window, others)
+    every = np.union1d(young[may.any(axis=1)], old[may.any(axis=0)])
     if not len(every):
         return []
     c = compare(slam, ledger, every.tolist(), every.tolist())

@@ -18,7 +18,7 @@ from data.compiled import njit
 from data.inputs import IntArray, LandmarkMap, Observations
 from data.result import CHI_SQUARE
 from data.se2 import Array, BoolArray
-from data.sensors import Sensor, measure, residual
+from data.sensors import RANGE_BEARING, Sensor, measure, residual
 from eval.replay.hindsight import constants
 
 ANGLES = 16  # directions of a residual over which its tails are averaged
@@ -133,8 +133,12 @@ def _nearest(
     for i in range(m):
         k, count, near = frame[i], 0, 0
         a, b, c = R[i, 0, 0], R[i, 0, 1], R[i, 1, 1]
+        # a landmark within a gate is about as far from the robot as what was observed
+        slack = math.hypot(extrinsic[1], extrinsic[2]) + 1.000001 * math.sqrt(max(gate, inner) * (a + c))
+        r = z[i, 0] if kind == RANGE_BEARING else math.hypot(z[i, 0], z[i, 1])
+        least, most = max(r - slack, 0.0) ** 2, min(r + slack, reach) ** 2
         for j in range(n):
-            if (xy[j, 0] - pose[k, 0]) ** 2 + (xy[j, 1] - pose[k, 1]) ** 2 > reach * reach:
+            if not least <= (xy[j, 0] - pose[k, 0]) ** 2 + (xy[j, 1] - pose[k, 1]) ** 2 <= most:
                 continue
             measure(kind, extrinsic, pose[k], xy[j, 0], xy[j, 1], z_hat, Hx, Hl)
             x, y = residual(kind, z[i, 0], z[i, 1], z_hat)

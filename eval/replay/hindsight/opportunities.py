@@ -27,7 +27,7 @@ last detection do not count for the rates: the landmark may have left.
 import math
 from collections.abc import Sequence
 from functools import cache
-from math import exp, log
+from math import exp, floor, hypot, log, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -125,9 +125,6 @@ def recounted(view: Sensor, path: Array, known: LandmarkMap, seen: Observations,
     """
     noise, apart = np.median(seen.R, axis=0), constants.SAME_PLACE * view.max_range
     reach = math.hypot(*view.translation) + view.max_range
-    familiar = [set[int]() for _ in known.id]
-    viewpoint: list[int | None] = [None] * len(known.id)  # of the last detection
-    result, place = [bytearray() for _ in known.id], [(math.inf, math.inf) for _ in known.id]
     frames, begin = np.unique(seen.frame, return_index=True)
     near = [np.flatnonzero(np.hypot(known.xy[:, 0] - x, known.xy[:, 1] - y) <= reach) for x, y in path[frames, :2]]
     every, at = np.concatenate([np.empty(0, np.int64), *near]), np.cumsum([0, *map(len, near)])
@@ -137,23 +134,51 @@ def recounted(view: Sensor, path: Array, known: LandmarkMap, seen: Observations,
     size = 1 + int(known.id.max(initial=0))
     here = np.isin(of * size + known.id[every], (seen.frame * size + number)[number >= 0])
     some = np.flatnonzero(sight.open | here)
-    columns = (each[some].tolist() for each in (every, path[of], here, sight.behind, sight.polar))
-    for i, (x, y, heading), found, hidden, (r, b) in zip(*columns, strict=True):
-        elsewhere = math.hypot(place[i][0] - x, place[i][1] - y) >= apart
-        if not (found or elsewhere):
+    cells = constants.VIEW_RING, constants.VIEW_SIDES
+    codes = _codes(every[some], here[some], sight.behind[some], path[of[some]], sight.polar[some], apart, *cells)
+    told = np.flatnonzero(codes >= 0)
+    owner = every[some[told]]
+    each = codes[told][np.argsort(owner, kind="stable")].astype(np.uint8)
+    ends = np.cumsum(np.bincount(owner, minlength=len(known.id)))
+    return {n: part.tobytes() for n, part in zip(known.id.tolist(), np.split(each, ends), strict=False)}
+
+
+@njit
+def _codes(
+    landmark: IntArray, found: BoolArray, behind: BoolArray, pose: Array, polar: Array, apart: float, ring: float,
+    sides: int,
+) -> IntArray:  # fmt: skip
+    """The opportunity (m,) of a landmark in sight, or found, from a pose (m, 3) in the polar place (m, 2); -1: it tells
+    nothing new. `ring`, `sides`: of the cells of viewpoints, see `cell`.
+    """
+    m, codes = len(landmark), np.full(len(landmark), -1)
+    if not m:
+        return codes
+    rings = np.empty(m, np.int64)
+    for q in range(m):
+        rings[q] = floor(log(max(polar[q, 0], 1e-3)) / log(ring))
+    n, rings = landmark.max() + 1, rings - rings.min() + 1
+    familiar, known = np.zeros((n, rings.max() + 2, sides), np.bool_), np.zeros(n, np.bool_)
+    place, last, viewpoint = np.full((n, 2), np.inf), np.full(n, -1), np.full(n, -1)  # viewpoint: of the last detection
+    for q in range(m):
+        i, x, y = landmark[q], pose[q, 0], pose[q, 1]
+        elsewhere = hypot(place[i, 0] - x, place[i, 1] - y) >= apart
+        if not (found[q] or elsewhere):
             continue
-        cell_of, known_from, so_far = cell(r, heading + b), familiar[i], result[i]
-        if known_from and (elsewhere or not so_far or so_far[-1] == BEFORE):
-            seen_from = BEHIND if hidden else FAMILIAR if cell_of in known_from else 0
-            so_far.append((DETECTED if found else MISSED) + seen_from)
-        elif not (known_from or found):
-            so_far.append(BEFORE)
-        if found and cell_of != viewpoint[i]:
-            viewpoint[i] = cell_of
-            known_from |= beside(cell_of)
+        side = floor(sides * (pose[q, 2] + polar[q, 1]) / (2.0 * pi)) % sides
+        if known[i] and (elsewhere or last[i] < 0 or last[i] == BEFORE):
+            seen_from = BEHIND if behind[q] else FAMILIAR if familiar[i, rings[q], side] else 0
+            codes[q] = last[i] = (DETECTED if found[q] else MISSED) + seen_from
+        elif not (known[i] or found[q]):
+            codes[q] = last[i] = BEFORE
+        if found[q] and viewpoint[i] != rings[q] * sides + side:
+            viewpoint[i], known[i] = rings[q] * sides + side, True
+            for r in range(rings[q] - 1, rings[q] + 2):
+                for s in range(side - 1, side + 2):
+                    familiar[i, r, s % sides] = True
         if elsewhere:
-            place[i] = x, y
-    return {n: bytes(s) for n, s in zip(known.id.tolist(), result, strict=True)}
+            place[i, 0], place[i, 1] = x, y
+    return codes
 
 
 class Detections(NamedTuple):

@@ -85,6 +85,15 @@ class Smoothed:
         spans = np.array(rows, np.int64).reshape(-1, 2)
         return remaining([self.detections[n] for n in numbers.tolist()], times, spans)
 
+    @cached_property
+    def certain(self) -> tuple[IntArray, Array]:
+        """Landmark (M,) of each observation, of those that stay in the map and were observed again; and the
+        log-likelihood (n,) of their opportunities.
+        """
+        stays = np.isin(self.found.number, self.times[0][self.kept.stays])
+        number = observed_again(np.where(stays, self.found.number, DISCARD))
+        return number, opportunities.evidence([self.detections[n] for n in np.unique(number[number >= 0]).tolist()])
+
     @property
     def consistent(self) -> bool:
         """Whether all often observed landmarks stay in the map, and few left: what bends it makes some be missed."""
@@ -105,7 +114,7 @@ def plain(given: Given, setup: Setup, frames: Sequence[Frame], most: int) -> tup
         front.use_poses(frame)
         if len(frame.observations.z):
             pairing = front.associate(frame)
-            done = front.update(frame, pairing)
+            done = front.update(frame, pairing._replace(S=None))  # nobody asks how large its innovations should be
             if done.created.max(initial=-1) >= most:
                 return None
             numbers.append(np.where(done.created >= 0, done.created, np.where(done.used, pairing.decisions, DISCARD)))
@@ -125,14 +134,12 @@ def log_likelihood(s: Smoothed, share: float, view: Sensor) -> float:
     """Log-likelihood of all observations and of the odometry, up to a constant of the log. share: variance of
     observations over the noise of `seen`; view: sensor with the field of view of all observations.
     """
-    clutter, kept = math.log(_clutter_density(view)), s.times[0][s.kept.stays]
-    number = observed_again(np.where(np.isin(s.found.number, kept), s.found.number, DISCARD))
+    clutter, (number, seen) = math.log(_clutter_density(view)), s.certain
     rows = np.flatnonzero(number >= 0)
     size = math.log(2.0 * math.pi) + 0.5 * np.linalg.slogdet(share * s.seen.R[rows])[1]
     # over clutter, and never far below: an outlier is one
     gain = -0.5 * distances(s.sensor, s.pose, s.known, s.seen, number) / share - size - clutter
-    numbers, of, times = np.unique(number[rows], return_inverse=True, return_counts=True)
-    seen = opportunities.evidence([s.detections[n] for n in numbers.tolist()])
+    _, of, times = np.unique(number[rows], return_inverse=True, return_counts=True)
     place = np.bincount(of, size, minlength=len(times)) / times + clutter - np.log(times)
     landmarks = np.bincount(of, np.maximum(gain, 0.0), minlength=len(times)) + place + seen
     return float(np.maximum(landmarks, 0.0).sum()) - 0.5 * s.motion

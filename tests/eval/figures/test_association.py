@@ -1,4 +1,4 @@
-"""Bars of decisions: what they show of runs counted by hand, legible and cut nowhere."""
+"""Bars of decisions, and uncertainties: what they show of runs counted by hand, legible and cut nowhere."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from eval.figures.association import OUTCOME_COLOURS, bars, confusion_figure
+from eval.figures.growth import closing_frame, growth_figure
 from eval.referee.score import Trial
 from tests.eval.figures.looks import SEEN_BY, lab, within
+from tests.eval.handmade import circle_log, run_with_error
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
 from tests.quick import slow
 
@@ -63,8 +65,13 @@ BESIDE = [trial(lab_run(KEPT, "jcbb", changes={4: NEW, 7: 2}, removed={2: 4}), l
 
 
 @pytest.mark.parametrize("runs", [slow([]), slow([KNOWN]), MANY], ids=["none", "one", "many"])
-def test_nothing_is_cut_or_covered_by_the_legend(runs):
-    fig = confusion_figure(f"{LOG.name}, slam: decisions", bars(trial(*runs), BESIDE))
+@pytest.mark.parametrize("kind", ["association", "growth"])
+def test_nothing_is_cut_or_covered_by_the_legend(kind, runs):
+    shown = trial(*runs)
+    fig = {
+        "association": lambda: confusion_figure(f"{LOG.name}, slam: decisions", bars(shown, BESIDE)),
+        "growth": lambda: growth_figure(LOG, runs[:2]),
+    }[kind]()
     fig.draw_without_rendering()
     for ax in fig.axes:
         assert within(ax.get_tightbbox(), fig.bbox)
@@ -75,3 +82,13 @@ def test_nothing_is_cut_or_covered_by_the_legend(runs):
         box = legend.get_window_extent()
         assert within(box, fig.bbox)
         assert not any(box.overlaps(ax.get_tightbbox()) for ax in fig.axes)
+
+
+def test_a_loop_is_closed_when_a_landmark_is_seen_after_a_good_part_of_the_run():
+    log = circle_log()
+    run = run_with_error(np.zeros(3))
+    assert closing_frame(log, run) is None
+    o = log.recorded.observations
+    late = replace(log, recorded=replace(log.recorded, observations=replace(o, frame=np.array([0, 1, 14, 30]))))
+    assert closing_frame(late, run) == 14  # 13 frames unseen, of 40
+    assert closing_frame(late, replace(run, decisions=np.array([NEW, 0, DISCARD, 0]))) == 30

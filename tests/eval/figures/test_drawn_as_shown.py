@@ -4,14 +4,16 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.colors import to_hex, to_rgba
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from data.result import Innovations
-from eval.figures.claims import anees_figure, claims_figure, nees_figure
+from eval.figures.claims import anees_figure, claims_figure, nees_figure, outlier_figure
 from eval.figures.error import difference_figure, error_figure
+from eval.figures.growth import growth_figure
 from eval.figures.map import log_figure, map_figure
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
 from wings.laser.figures import loop_picture
@@ -23,6 +25,10 @@ FINAL = run_with_error(0.5 * OFF, estimator="batch", phases=("final",))
 WITH_INNOVATIONS = replace(
     ONLINE, innovations=Innovations(np.full(FRAMES, 4.0), np.full(FRAMES, 4), np.zeros(FRAMES), np.zeros((4, 2)))
 )
+OUTLIERS = pd.DataFrame([
+    {"task": "slam", "estimator": "ekf", "rate": r, "rmse_position_m": 1.0, "rmse_lower": 0.9, "rmse_upper": 1.1,
+     "nees_pose": 3.0, "nees_lower": 2.5, "nees_upper": 3.5} for r in (0.0, 0.1)
+])  # fmt: skip
 REFERENCE = {"#505050", "#909090"}
 """Colours of lines at a value that is expected."""
 
@@ -43,7 +49,9 @@ FIGURES = {
     "difference": lambda: difference_figure(circle_log(truth=False), [ONLINE], FINAL),
     "claims": lambda: claims_figure(circle_log(truth=False), [WITH_INNOVATIONS, FINAL]),
     "average nees": lambda: anees_figure(np.arange(20.0), {"ekf": np.full(20, 3.0)}, 3, 50),
+    "growth": lambda: growth_figure(circle_log(), [ONLINE]),
     "log": lambda: log_figure(circle_log()),
+    "outliers": lambda: outlier_figure(OUTLIERS, "arena"),
     "loops": loops,
 }
 

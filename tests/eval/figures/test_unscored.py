@@ -5,10 +5,11 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from data.result import Innovations
-from eval.figures.claims import anees_figure, claims_figure, stretches_of
+from eval.figures.claims import anees_figure, claims_figure, outlier_figure, stretches_of
 from eval.figures.style import STYLES
 from eval.referee.score import Trial
 from eval.report.publish import draw, kinds
@@ -59,6 +60,7 @@ def test_claims_are_drawn_where_there_is_no_truth_and_only_there(tmp_path):
 
 
 EIGHT = ["ekf", "ekf-iterated", "ekf-fej", "ekf-invariant", "batch", "isam2", "fixed-lag", "gnc"]
+RATES = [0.0, 0.01, 0.05, 0.1, 0.2]
 
 
 def averages(names, factor=1.0):
@@ -66,9 +68,22 @@ def averages(names, factor=1.0):
     return {name: factor**i * rng.chisquare(150, 200) / 50 for i, name in enumerate(names)}
 
 
+def outliers(names, tasks=("localization", "slam"), growth=4.0):
+    rows = [
+        (task, name, rate, m := 0.05 * (1 + growth * i * rate), 0.9 * m, 1.2 * m, 60 * m, 50 * m, 70 * m)
+        for task in tasks
+        for i, name in enumerate(names)
+        for rate in RATES
+    ]
+    columns = "task estimator rate rmse_position_m rmse_lower rmse_upper nees_pose nees_lower nees_upper"
+    return pd.DataFrame(rows, columns=columns.split())
+
+
 FIGURES = {
     "average, eight": lambda: anees_figure(np.arange(200.0), averages(EIGHT), 3, 50, title="circle"),
     "average, apart": lambda: anees_figure(np.arange(200.0), averages(EIGHT, 3.0), 3, 50, title="circle"),
+    "outliers": lambda: outlier_figure(outliers(["ekf", "batch", "batch-huber", "batch-cauchy", "gnc"]), "arena"),
+    "outliers, eight": lambda: outlier_figure(outliers(EIGHT, ("slam",), 400.0), "arena"),
 }
 
 
@@ -94,3 +109,27 @@ def test_curves_of_average_nees_carry_markers_at_different_times_on_an_axis_with
     ax = FIGURES["average, apart"]().axes[0]
     assert ax.get_yscale() == "log"
     assert [ax.yaxis.get_major_formatter()(y) for y in (0.1, 1.0, 1000.0)] == ["0.1", "1", "1000"]
+
+
+def test_outliers_have_a_row_per_task_gaps_where_nothing_was_measured_and_log_axes_if_they_must():
+    table = outliers(["ekf", "gnc"])
+    fig = outlier_figure(table.sample(frac=1.0, random_state=1).sort_values("task"), "arena")
+    assert [ax.get_title(loc="left") for ax in fig.axes] == ["localization", "localization", "slam", "slam"]
+    assert [t.get_text() for t in fig.axes[2].get_xticklabels()] == ["0", "1", "5", "10", "20"]
+    drawn = {c.lines[0].get_marker(): c.lines[0] for c in fig.axes[0].containers}
+    expected = table[(table.task == "localization") & (table.estimator == "gnc")]
+    assert drawn[STYLES["gnc"].marker].get_ydata() == pytest.approx(expected.rmse_position_m.to_numpy())
+    assert np.diff(drawn[STYLES["gnc"].marker].get_xdata()) == pytest.approx(1.0)
+    even = outlier_figure(outliers(["ekf", "gnc"]), "arena").axes
+    assert [ax.get_yscale() for ax in even] == ["linear"] * 4
+    apart = outlier_figure(outliers(EIGHT, ("slam",), 400.0), "arena").axes
+    assert [ax.get_yscale() for ax in apart] == ["log"] * 2
+    assert [np.asarray(line.get_ydata()).tolist() for line in apart[1].lines if len(line.get_ydata()) == 2] == [[3, 3]]
+    table = outliers(["ekf", "gnc"], ("slam",))
+    table.loc[table.rate == 0.05, ["rmse_position_m", "rmse_lower", "rmse_upper"]] = np.nan
+    table.loc[table.rate == 0.1, ["rmse_lower", "rmse_upper"]] = np.nan
+    fig = outlier_figure(table, "arena")
+    fig.draw_without_rendering()
+    line, _, (bars,) = fig.axes[0].containers[0].lines
+    assert np.isnan(line.get_ydata()).tolist() == [False, False, True, False, False]
+    assert np.ptp(bars.get_segments()[3][:, 1]) == 0.0

@@ -14,12 +14,12 @@ from eval.referee.consistency import (
     COVERAGE_LEVELS,
     INNOVATIONS,
     anees_band,
-    chi2_bounds,
     coverage,
     holm_rejected,
     innovations_word,
     lag1,
     nees,
+    nis_bounds,
     share_interval,
     squared_distance,
     verdict,
@@ -108,11 +108,11 @@ def test_chi_square_bounds_hold_their_level_and_holm_rejects_in_order():
         consistency.INSIDE_3SIGMA, abs=1e-3
     )
     assert pytest.approx(0.98889, abs=1e-5) == consistency.INSIDE_3SIGMA
-    low, high = chi2_bounds(200)
+    low, high = nis_bounds(200)
     draws = np.random.default_rng(6).chisquare(200, 20_000) / 200
     assert np.mean((low < draws) & (draws < high)) == pytest.approx(0.95, abs=0.01)
-    assert anees_band(3, 50) == (pytest.approx(3 * chi2_bounds(150)[0]), pytest.approx(3 * chi2_bounds(150)[1]))
-    assert all(math.isnan(b) for b in chi2_bounds(0))
+    assert anees_band(3, 50) == (pytest.approx(3 * nis_bounds(150)[0]), pytest.approx(3 * nis_bounds(150)[1]))
+    assert all(math.isnan(b) for b in nis_bounds(0))
     assert holm_rejected([0.0001, 0.04, 0.03, 0.005], 0.05) == [True, False, False, True]
     assert holm_rejected([0.5, 0.5]) == [False, False]
     assert holm_rejected([]) == []

@@ -14,7 +14,8 @@ from data.truth import Truth
 from eval.figures.association import has_outcomes
 from eval.figures.claims import nees_figure
 from eval.figures.error import difference_figure, error_figure
-from eval.figures.kinds import for_map, for_panels, left_out, worst
+from eval.figures.growth import growing as for_growth
+from eval.figures.kinds import every, for_map, for_panels, left_out, worst
 from eval.figures.map import map_figure
 from eval.judgement.runs import filters_in, judged_runs, smoothers_in
 from eval.plan.flags.table import Output
@@ -79,6 +80,15 @@ def test_four_panels_show_filter_and_smoothers_and_the_final_path_once():
     assert [(r.estimator, r.association, r.phases) for r in beside][-1] == ("isam2", "jcbb", ("online", "final"))
 
 
+def test_growth_is_shown_of_filter_and_incremental_smoother_and_says_who_has_no_map():
+    assert names(for_growth(LAB)) == [("ekf", "known"), ("isam2", "known")]
+    assert names(for_growth(Trial(LAB.log, "slam", (*OTHERS, *JCBB)))) == [("ekf", "jcbb"), ("isam2", "jcbb")]
+    assert for_growth(Trial(LAB.log, "slam", (DEAD,))) == []
+    trial = Trial(circle_log(), "slam", (KNOWN[0], KNOWN[2]))
+    _, facts = every()["growth"].drawn(trial, ())
+    assert "Not shown, without a map online: batch with known." in facts["others"]
+
+
 def test_a_caption_names_the_shown_only_if_others_are_not():
     assert left_out(LAB, LAB.runs) == ""
     halted = run("ekf", "ml", 9.0, failure=Failure("diverged", 3, stopped("lost")))
@@ -115,7 +125,7 @@ def test_pictures_of_a_log_follow_its_truth_its_decisions_and_its_task():
     assert not {"difference", "claims"} & set(kinds(trial(FILTER, BATCH)))
     blind = circle_log(truth=False, name="hall")
     assert {"map", "claims", "difference"} <= set(kinds(trial(FILTER, BATCH, log=blind)))
-    assert not {"error", "nees"} & set(kinds(trial(FILTER, BATCH, log=blind)))
+    assert not {"error", "nees", "growth"} & set(kinds(trial(FILTER, BATCH, log=blind)))
     assert "difference" not in kinds(trial(BATCH, log=blind)), "of batch from itself"
     assert "difference" not in kinds(trial(FILTER, NN, log=blind))
     assert not has_outcomes(trial(FILTER, BATCH))
@@ -124,6 +134,9 @@ def test_pictures_of_a_log_follow_its_truth_its_decisions_and_its_task():
     blind = circle_log(name="hall")
     blind = replace(blind, truth=replace(blind.truth, landmark_of=None))
     assert not has_outcomes(trial(NN, log=blind))
+    assert "growth" in kinds(trial(FILTER))
+    known = replace(FILTER, task="localization", map=None)
+    assert "growth" not in kinds(trial(known, log=circle_log(known_map=True), task="localization"))
 
 
 def calibrated(run):
@@ -169,7 +182,7 @@ def test_who_brought_an_estimator_sees_it_as_filter_or_smoother_in_the_figures()
     assert [n for n in smoothers_in(rows) if n in ("mine", "theirs", "ekf")] == ["theirs"]
     names = ["ekf", "ekf-iterated", "isam2", "batch", "gnc", "mine"]
     trial = made(*({"estimator": n, "association": a} for a in ("known", "nn", "jcbb", "way") for n in names))
-    for shown in (for_map(trial), for_panels(trial.runs)):
+    for shown in (for_map(trial), for_panels(trial.runs), for_growth(trial)):
         assert "mine" in {r.estimator for r in shown}
         assert "ekf" in {r.estimator for r in shown}
     assert associations(trial.runs) == ["known", "way", "jcbb", "nn"]

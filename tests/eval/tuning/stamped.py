@@ -18,27 +18,16 @@ an EKF's linearization the largest error, which no noise accounts for."""
 
 @dataclass(frozen=True)
 class Stamped:
-    """What is true of a log.
+    """What is true of a log."""
 
-    Attributes:
-        latency: s that the stamps of the readings are late.
-        stated: sigmas of motion and sensor in log.toml over the true ones.
-        bias: measured minus true range [m] and bearing [rad].
-        over: odometry's distance and rotation over the true ones.
-        offset: s that the readings are taken after the stamp of an odometry sample.
-        noise: odometry's true noise over `SIGMA_MOTION`.
-        winding: how far velocities vary, m/s and rad/s.
-        seed: of noise, landmarks and path.
-    """
-
-    latency: float = 0.0
-    stated: tuple[float, float] = (1.0, 1.0)
-    bias: tuple[float, float] = (0.0, 0.0)
-    over: tuple[float, float] = (1.0, 1.0)
-    offset: float = 0.0
-    noise: float = 1.0
-    winding: float = 0.5
-    seed: int = 0
+    latency: float = 0.0  # s that the stamps of the readings are late
+    stated: tuple[float, float] = (1.0, 1.0)  # sigmas of motion and sensor in log.toml over the true ones
+    bias: tuple[float, float] = (0.0, 0.0)  # measured minus true range [m] and bearing [rad]
+    over: tuple[float, float] = (1.0, 1.0)  # odometry's distance and rotation over the true ones
+    offset: float = 0.0  # s that the readings are taken after the stamp of an odometry sample
+    noise: float = 1.0  # odometry's true noise over `SIGMA_MOTION`
+    winding: float = 0.5  # how far velocities vary, m/s and rad/s
+    seed: int = 0  # of noise, landmarks and path
 
     def truth(self) -> dict[str, float]:
         """Every parameter of the default fit, as `Parameter.value` has it."""

@@ -21,20 +21,14 @@ FACTOR, AMOUNT = "factor", "amount"
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault.
+    """One fault."""
 
-    Attributes:
-        size: the strong one. kind: `FACTOR` of something that is 1 where sound, or `AMOUNT` that is 0.
-        right: patterns of `kind name` of findings that name it rightly, alone or in an "or".
-        tasks: where it makes a difference.
-        labels: it makes none unless labels are granted.
-    """
-
+    # size: the strong one. kind: `FACTOR` of something that is 1 where sound, or `AMOUNT` that is 0
     size: float
-    right: tuple[str, ...]
+    right: tuple[str, ...]  # patterns of `kind name` of findings that name it rightly, alone or in an "or"
     kind: str = AMOUNT
-    tasks: tuple[str, ...] = ("localization", "slam")
-    labels: bool = False
+    tasks: tuple[str, ...] = ("localization", "slam")  # where it makes a difference
+    labels: bool = False  # it makes none unless labels are granted
     about: str = field(default="", compare=False)
 
     def of(self, strength: float) -> float:

@@ -21,43 +21,34 @@ SWING = 0.35
 
 @dataclass(frozen=True)
 class Shape:
-    """One kind of world.
+    """One kind of world."""
 
-    Attributes:
-        curve: draws the points (K, 2) of a path; their ends are left straight on.
-        speed: m/s on average. seconds, rate: s, Hz of the frames.
-        unit: m; a "metre" of the faults that are lengths, smaller on the table.
-        polar: range and bearing, else the relative point.
-        sigma: of both coordinates of a reading. reach: m. view: rad, full opening angle.
-        along, across: m per sqrt(m) of odometry; turn: rad per sqrt(s).
-        landmarks: their number; near, far: m, distance from the path; spacing: m, the least between two.
-        pair: m, distance of the close neighbour that one landmark in eight has.
-        mount: m, how far the sensor is ahead of the robot's centre, as stated.
-        free: the heading does not follow the path. sway: rad and rad/s by which it swings about the path's.
-        shelves: landmarks stand in rows.
-    """
-
-    curve: Callable[[Generator], Array]
+    curve: Callable[[Generator], Array]  # draws the points (K, 2) of a path; their ends are left straight on
+    # speed: m/s on average. seconds, rate: s, Hz of the frames
     speed: float
     seconds: float
     rate: float
+    # sigma: of both coordinates of a reading. reach: m. view: rad, full opening angle
     sigma: tuple[float, float]
     reach: float
+    # landmarks: their number; near, far: m, distance from the path; spacing: m, the least between two
     landmarks: int
     near: float
     far: float
     spacing: float
-    pair: float
+    pair: float  # m, distance of the close neighbour that one landmark in eight has
+    # along, across: m per sqrt(m) of odometry; turn: rad per sqrt(s)
     along: float = 0.02
     across: float = 0.01
     turn: float = 0.01
-    polar: bool = True
+    polar: bool = True  # range and bearing, else the relative point
     view: float = 2.0 * math.pi
-    unit: float = 1.0
-    mount: float = 0.0
+    unit: float = 1.0  # m; a "metre" of the faults that are lengths, smaller on the table
+    mount: float = 0.0  # m, how far the sensor is ahead of the robot's centre, as stated
+    # free: the heading does not follow the path. sway: rad and rad/s by which it swings about the path's
     free: bool = False
     sway: tuple[float, float] = (0.0, 0.0)
-    shelves: bool = False
+    shelves: bool = False  # landmarks stand in rows
 
 
 def _parameter(laps: float) -> Array:

@@ -46,25 +46,15 @@ FRONT = math.radians(75.0)
 
 @dataclass(frozen=True)
 class Hiding:
-    """How landmarks hide.
+    """How landmarks hide."""
 
-    Attributes:
-        diameter: m, median of the landmarks' diameters; they differ by a factor of 1.5 (one sigma).
-        half: range at which half of the detections are left, in ranges of the sensor.
-        uneven: standard deviation of the landmarks' own detection, as logit.
-        fronted: share of landmarks read from the front only.
-        removed: share of landmarks removed between 35 and 65 % of the log.
-        standing: people who stand for 3 to 20 % of the log, as share of the landmarks.
-        optimistic: stated range over the range in which landmarks are read.
-    """
-
-    diameter: float
-    half: float
-    uneven: float
-    fronted: float
-    removed: float
-    standing: float
-    optimistic: float
+    diameter: float  # m, median of the landmarks' diameters; they differ by a factor of 1.5 (one sigma)
+    half: float  # range at which half of the detections are left, in ranges of the sensor
+    uneven: float  # standard deviation of the landmarks' own detection, as logit
+    fronted: float  # share of landmarks read from the front only
+    removed: float  # share of landmarks removed between 35 and 65 % of the log
+    standing: float  # people who stand for 3 to 20 % of the log, as share of the landmarks
+    optimistic: float  # stated range over the range in which landmarks are read
 
 
 @dataclass(frozen=True)

@@ -36,35 +36,23 @@ FACTOR = 4.0
 
 @dataclass(frozen=True)
 class Readings:
-    """How landmarks are read.
+    """How landmarks are read."""
 
-    Attributes:
-        sigma_range: m, sigma_bearing: rad, noise as it is.
-        detection: probability that a landmark in view is read.
-        clutter: share of the readings that are of no landmark.
-    """
-
+    # sigma_range: m, sigma_bearing: rad, noise as it is
     sigma_range: float
     sigma_bearing: float
-    detection: float = 1.0
-    clutter: float = 0.0
+    detection: float = 1.0  # probability that a landmark in view is read
+    clutter: float = 0.0  # share of the readings that are of no landmark
 
 
 @dataclass(frozen=True)
 class Crowding:
-    """Where landmarks stand.
+    """Where landmarks stand."""
 
-    Attributes:
-        kept: share of the world's landmarks that are there.
-        paired: share of those that get a neighbour.
-        spacing: of a landmark and its neighbour, in sigmas of the sensor at half its range.
-        most: landmarks, neighbours included.
-    """
-
-    kept: float = 1.0
-    paired: float = 0.0
-    spacing: float = math.inf
-    most: int = 1000
+    kept: float = 1.0  # share of the world's landmarks that are there
+    paired: float = 0.0  # share of those that get a neighbour
+    spacing: float = math.inf  # of a landmark and its neighbour, in sigmas of the sensor at half its range
+    most: int = 1000  # landmarks, neighbours included
 
 
 @dataclass(frozen=True)

@@ -57,20 +57,13 @@ FRAME_FIRST, FIELD_FIRST = "[{frame}][{field!r}]", "[{field!r}][{frame}]"
 
 @dataclass(frozen=True, eq=False)
 class LogFile:
-    """A file with a record per frame.
-
-    Attributes:
-        fields: of a record.
-        count: number of frames.
-        place: form of a frame's field in the notation of the file's language, for messages.
-        records: values by field, in the order of the frames.
-    """
+    """A file with a record per frame."""
 
     path: Path
-    fields: tuple[str, ...]
-    count: int
-    place: str
-    records: Callable[[], Iterable[Mapping[str, Any]]]
+    fields: tuple[str, ...]  # of a record
+    count: int  # number of frames
+    place: str  # form of a frame's field in the notation of the file's language, for messages
+    records: Callable[[], Iterable[Mapping[str, Any]]]  # values by field, in the order of the frames
 
 
 class Place(NamedTuple):
@@ -608,17 +601,12 @@ IMAGES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", "
 
 @dataclass(eq=False)
 class LabRecording:
-    """A recording of the lab's format, its frames still on disk.
-
-    Attributes:
-        path: the folder.
-        notes: assumptions and ignored files.
-    """
+    """A recording of the lab's format, its frames still on disk."""
 
     setup: VisualSetup
     references: list[NDArray[np.uint8]]
-    path: Path
-    notes: tuple[str, ...]
+    path: Path  # the folder
+    notes: tuple[str, ...]  # assumptions and ignored files
     _log: LogFile = field(repr=False)
     _files: tuple[Path, ...] = field(repr=False)
 

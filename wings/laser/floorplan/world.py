@@ -53,17 +53,11 @@ class Door(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Ways(Locked):
-    """A connected graph of places.
+    """A connected graph of places."""
 
-    Attributes:
-        place: (V, 2) [m].
-        edge: (E, 2) places joined by a straight path.
-        target: (T,) destinations: all in rooms, and the ends of corridors.
-    """
-
-    place: Array
-    edge: IntArray
-    target: IntArray
+    place: Array  # (V, 2) [m]
+    edge: IntArray  # (E, 2) places joined by a straight path
+    target: IntArray  # (T,) destinations: all in rooms, and the ends of corridors
 
     def trace(self) -> Array:
         """Points (P, 2) of every path, at most 0.1 m apart."""
@@ -203,17 +197,11 @@ class Face(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Building(Locked):
-    """A building.
+    """A building."""
 
-    Attributes:
-        walls: (W, 4) segments x0, y0, x1, y1 [m]: walls, jambs, furniture.
-        faces: number of leading segments that are faces of walls (and may be of glass).
-        ways: paths of robots and people.
-    """
-
-    walls: Array
-    faces: int
-    ways: Ways
+    walls: Array  # (W, 4) segments x0, y0, x1, y1 [m]: walls, jambs, furniture
+    faces: int  # number of leading segments that are faces of walls (and may be of glass)
+    ways: Ways  # paths of robots and people
 
 
 def build(rng: np.random.Generator) -> Building:

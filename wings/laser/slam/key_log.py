@@ -41,20 +41,13 @@ ROBUST = 1e3  # Scale of the prior of a match that has none, in standard deviati
 
 
 class KeyLog(NamedTuple):
-    """The log, and where it comes from.
+    """The log, and where it comes from."""
 
-    Attributes:
-        inputs: key poses, and other frames that were asked for, as frames; without scans.
-        frame: (F,) the frame of the laser log of each.
-        label: (M,) of the corners, by the front end's final path.
-        chain: of the front end.
-        claimed: scale on the variances that scan matching states; error: its standard error, None: not learned.
-    """
-
-    inputs: Inputs
-    frame: IntArray
-    label: IntArray
-    chain: Chain
+    inputs: Inputs  # key poses, and other frames that were asked for, as frames; without scans
+    frame: IntArray  # (F,) the frame of the laser log of each
+    label: IntArray  # (M,) of the corners, by the front end's final path
+    chain: Chain  # of the front end
+    # claimed: scale on the variances that scan matching states; error: its standard error, None: not learned
     claimed: float
     error: float | None
 

@@ -6,23 +6,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class LaserParameters:
-    """Constants of the front end; lengths in m, angles in rad.
+    """Constants of the front end; lengths in m, angles in rad."""
 
-    Attributes:
-        keyframe_distance, keyframe_angle: a key pose is made when either is reached.
-        variance_scale: of every scan-matching covariance. 1 is consistent in simulation (0.9 to 1.2); on Intel 5 is
-            safe for gates, residuals give 3.4 (`scale.learned_scale`).
-        direct_distance, direct_angle: three standard deviations up to which a match starts from the expected pose;
-            beyond it a correlative search covers them, up to `widest`.
-        least_correlation, loop_share, most_contradiction: of a loop closure: score of the search, share of points that
-            fit, share of beams that contradict.
-    """
-
+    # keyframe_distance, keyframe_angle: a key pose is made when either is reached
     keyframe_distance: float = 0.4
     keyframe_angle: float = 0.5
     max_range: float = 20.0  # farther returns are not used: far surfaces are hit by few beams
     window: int = 8  # number of key scans that the newest scans are matched against
     sigma: float = 0.01  # standard deviation of a range; the scanner's own if larger
+    # of every scan-matching covariance. 1 is consistent in simulation (0.9 to 1.2); on Intel 5 is safe for gates,
+    # residuals give 3.4 (`scale.learned_scale`)
     variance_scale: float = 5.0
     prior_scale: float = 2.0  # standard deviations at which the odometry prior begins to yield (Cauchy)
     least_share: float = 0.3  # least share of a scan's points that must fit
@@ -31,9 +24,13 @@ class LaserParameters:
     loop_apart: int = 8  # key poses between two candidates of one key pose
     loops_per_key: int = 2  # number of candidates per key pose
     loop_around: int = 2  # key scans on either side of a candidate that are matched with it
+    # direct_distance, direct_angle: three standard deviations up to which a match starts from the expected pose; beyond
+    # it a correlative search covers them, up to `widest`
     direct_distance: float = 0.2
     direct_angle: float = 0.1
     widest: float = 8.0
+    # least_correlation, loop_share, most_contradiction: of a loop closure: score of the search, share of points that
+    # fit, share of beams that contradict
     least_correlation: float = 0.4
     loop_share: float = 0.5
     most_contradiction: float = 0.1

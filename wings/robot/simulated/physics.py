@@ -76,20 +76,14 @@ SHORTEST_RANGE = 0.02
 
 @dataclass(frozen=True)
 class Physics:
-    """Imperfections of the robot.
+    """Imperfections of the robot."""
 
-    Attributes:
-        slip: m per sqrt(m) of a wheel's travel, standard deviation, independent per wheel; 0.005 turns the body by 1.6
-            degrees per metre, as hobby wheels do on a smooth floor.
-        range_sigma: m, standard deviation of a distance.
-        dropout: share of echoes that are missed.
-        crosstalk: share of readings that are another sonar's ping: any distance below the true one.
-    """
-
+    # m per sqrt(m) of a wheel's travel, standard deviation, independent per wheel; 0.005 turns the body by 1.6 degrees
+    # per metre, as hobby wheels do on a smooth floor
     slip: float = 0.005
-    range_sigma: float = 0.005
-    dropout: float = 0.01
-    crosstalk: float = 0.01
+    range_sigma: float = 0.005  # m, standard deviation of a distance
+    dropout: float = 0.01  # share of echoes that are missed
+    crosstalk: float = 0.01  # share of readings that are another sonar's ping: any distance below the true one
 
 
 @dataclass(frozen=True)
@@ -98,18 +92,12 @@ class Lidar:
 
     A scan is taken at once, as if the head turned infinitely fast; a real one turns in 0.1 s, in which the robot moves
     by 2 cm.
-
-    Attributes:
-        beams: in a circle, the first one astern, counter-clockwise.
-        reach: m, largest range.
-        sigma: m, standard deviation of a range, as of low-cost lidars for hobby robots.
-        dropout: share of beams without a return.
     """
 
-    beams: int = 360
-    reach: float = 8.0
-    sigma: float = 0.01
-    dropout: float = 0.01
+    beams: int = 360  # in a circle, the first one astern, counter-clockwise
+    reach: float = 8.0  # m, largest range
+    sigma: float = 0.01  # m, standard deviation of a range, as of low-cost lidars for hobby robots
+    dropout: float = 0.01  # share of beams without a return
 
     @property
     def directions(self) -> Beams:

@@ -23,15 +23,10 @@ class Room:
 
 
 class Echo(NamedTuple):
-    """The nearest wall point in each of N cones.
+    """The nearest wall point in each of N cones."""
 
-    Attributes:
-        distance: (N,) m, inf where the cone is empty.
-        incidence: (N,) rad, 0 to pi/2, between the direction of that point and the wall's normal.
-    """
-
-    distance: Array
-    incidence: Array
+    distance: Array  # (N,) m, inf where the cone is empty
+    incidence: Array  # (N,) rad, 0 to pi/2, between the direction of that point and the wall's normal
 
 
 def _box(x0: float, y0: float, x1: float, y1: float) -> Array:

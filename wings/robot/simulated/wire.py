@@ -16,17 +16,12 @@ BETWEEN_STALLS = 6000  # mean number of bytes between stalls: a minute of traffi
 
 @dataclass(frozen=True)
 class Faults:
-    """Faults of the line, per byte in both directions.
+    """Faults of the line, per byte in both directions."""
 
-    Attributes:
-        drop: probability that a byte is lost.
-        flip: probability that one of its bits is flipped.
-        stall: s, length of a stall of one direction, once in `BETWEEN_STALLS` bytes. Stalled answers come late; stalled
-            commands are lost, or the robot would obey them after its sender was gone.
-    """
-
-    drop: float = 0.0
-    flip: float = 0.0
+    drop: float = 0.0  # probability that a byte is lost
+    flip: float = 0.0  # probability that one of its bits is flipped
+    # s, length of a stall of one direction, once in `BETWEEN_STALLS` bytes. Stalled answers come late; stalled commands
+    # are lost, or the robot would obey them after its sender was gone
     stall: float = 0.0
 
 

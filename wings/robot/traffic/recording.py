@@ -46,25 +46,15 @@ class Record(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """A recording as read.
+    """A recording as read."""
 
-    Attributes:
-        records: in the order of their times.
-        framed: whether the line carried frames.
-        cut: bytes of an unfinished record at the end; 0 of a closed log.
-        noise: stated slip [m per sqrt(m)] and sonar sigma [m]; empty if not stated.
-        source: `[source]` of the header.
-        fit: of walls, see `wings.robot.walls.FITS`.
-        lidar_sigma: m, standard deviation of a lidar's range; None: no lidar.
-    """
-
-    records: list[Record]
-    framed: bool
-    cut: int
-    noise: tuple[float, ...]
-    source: Mapping[str, object]
-    fit: str
-    lidar_sigma: float | None = None
+    records: list[Record]  # in the order of their times
+    framed: bool  # whether the line carried frames
+    cut: int  # bytes of an unfinished record at the end; 0 of a closed log
+    noise: tuple[float, ...]  # stated slip [m per sqrt(m)] and sonar sigma [m]; empty if not stated
+    source: Mapping[str, object]  # `[source]` of the header
+    fit: str  # of walls, see `wings.robot.walls.FITS`
+    lidar_sigma: float | None = None  # m, standard deviation of a lidar's range; None: no lidar
 
 
 class Recording:

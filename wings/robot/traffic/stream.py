@@ -29,22 +29,14 @@ ROUNDING = 2  # mm, mrad: rounding of a difference, and one for the ticks
 
 @dataclass(frozen=True)
 class Packet:
-    """A usable answer.
+    """A usable answer."""
 
-    Attributes:
-        t: s, time of its last byte.
-        ranges: (8,) m, inf for no echo.
-        odometry: (3,) pose by the wheels [m, m, rad], heading included unwrapped.
-        joined: False where the motion since the last packet is unknown: the first packet, or restarted odometry.
-        answer: the transmitted numbers.
-        scan: the lidar's, taken where the odometry is that of the answer; None: no lidar, or the scan was lost.
-    """
-
-    t: float
-    ranges: Array
-    odometry: Array
-    joined: bool
-    answer: protocol.Answer
+    t: float  # s, time of its last byte
+    ranges: Array  # (8,) m, inf for no echo
+    odometry: Array  # (3,) pose by the wheels [m, m, rad], heading included unwrapped
+    joined: bool  # False where the motion since the last packet is unknown: the first packet, or restarted odometry
+    answer: protocol.Answer  # the transmitted numbers
+    # the lidar's, taken where the odometry is that of the answer; None: no lidar, or the scan was lost
     scan: Scan | None = None
 
 
@@ -114,13 +106,9 @@ SHORT, GARBAGE = "short", "garbage"
 
 
 class Stream(ABC):
-    """Bytes in, packets out; `faults` counts pieces that are no packet, by name.
+    """Bytes in, packets out; `faults` counts pieces that are no packet, by name."""
 
-    Attributes:
-        vouched: whether a checksum vouches for the bytes, so that a delayed answer need not wait for others.
-    """
-
-    vouched: bool
+    vouched: bool  # whether a checksum vouches for the bytes, so that a delayed answer need not wait for others
 
     def __init__(self) -> None:
         self.faults: Counter[str] = Counter()

@@ -44,27 +44,23 @@ def euroc(folder):
     return "a.csv", Manner()
 
 
-def kitti(folder):
-    rows = []
-    for x, y, h in POSE:
-        R = [[math.cos(h), -math.sin(h), 0.0], [math.sin(h), math.cos(h), 0.0], [0.0, 0.0, 1.0]]
-        rows.append(" ".join(repr(v) for row, t in zip(R, (x, y, 0.5)) for v in (*row, float(t))))
-    (folder / "poses.txt").write_text("\n".join(rows) + "\n")
-    (folder / "times.txt").write_text("".join(f"{t!r}\n" for t in TIME.tolist()))
-    return "poses.txt", Manner(times=folder / "times.txt", axes=ROBOT)
+SAME = np.eye(3)
 
 
-def camera(folder):
-    """The same in a camera's axes: right, down, forward."""
-    from_camera = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+def kitti(folder, turned=SAME, axes=ROBOT):
     rows = []
     for x, y, h in POSE:
         R = np.array([[math.cos(h), -math.sin(h), 0.0], [math.sin(h), math.cos(h), 0.0], [0.0, 0.0, 1.0]])
-        T = np.column_stack([from_camera.T @ R @ from_camera, from_camera.T @ [x, y, 0.5]])
+        T = np.column_stack([turned.T @ R @ turned, turned.T @ [x, y, 0.5]])
         rows.append(" ".join(repr(float(v)) for v in T.ravel()))
     (folder / "poses.txt").write_text("\n".join(rows) + "\n")
     (folder / "times.txt").write_text("".join(f"{t!r}\n" for t in TIME.tolist()))
-    return "poses.txt", Manner(times=folder / "times.txt")  # KITTI's own axes
+    return "poses.txt", Manner(times=folder / "times.txt", axes=axes)
+
+
+def camera(folder):
+    """The same in a camera's axes, those of the format: right, down, forward."""
+    return kitti(folder, np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), None)
 
 
 def ours(folder):
@@ -118,8 +114,6 @@ FAULTS = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_what_is_wrong_is_named_with_its_line(fault, tmp_path):
-    from data.errors import DataError
-
     text, wanted = FAULTS[fault]
     (tmp_path / "a").write_text(text)
     with pytest.raises(DataError) as error:

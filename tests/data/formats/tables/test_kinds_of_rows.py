@@ -37,15 +37,13 @@ def test_rows_of_one_kind_are_named_behind_the_file(convert, unread):
     assert "rows hold odom2 (9), range2 (9): name those of one kind, as in in.txt:odom2" in unread({"in.txt": MIXED})
 
 
-def test_of_two_columns_of_one_name_a_number_tells_which(read, unread):
+def test_of_two_columns_of_one_name_a_number_tells_which(read):
     text = "time,v,omega,time\n" + "".join(f"{10 * k},0.5,0,{k}\n" for k in range(9))
     seen = "t,range,bearing\n" + "".join(f"{k},{9 - k},0.1\n" for k in range(9))
     sigma = ("--observations", "seen.csv", "--odometry-sigma", "0.05,2deg", "--observation-sigma", "0.1,1deg")
     files = {"o.csv": text, "seen.csv": seen}
     log, _ = read(files, *sigma, "--columns", "odometry.t=4")
     assert np.diff(log.recorded.time) == pytest.approx(1.0)
-    said = unread(files, *sigma, "--columns", "odometry.t=time")
-    assert "columns 1 and 4 are named 'time'; name one by its number" in said
 
 
 BEAMS, STEP = 36, np.radians(10.0)

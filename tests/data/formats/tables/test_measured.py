@@ -52,7 +52,7 @@ def test_fixes_and_closures_beyond_the_odometry_are_left_out_and_said(table):
 @pytest.mark.parametrize(
     ("parts", "words", "said"),
     [
-        ({"fixes": "t,x,y\n0.5,1,2\n"}, (), "fix.csv:2: unknown noise of this fix; --fix-sigma SX,SY (m), STHETA"),
+        ({"fixes": "t,x,y,sx,sy\n0.5,1,2,,\n"}, (), "fix.csv:2: unknown noise of this fix; --fix-sigma SX,SY (m)"),
         ({"fixes": "t,x,y\n0.5,1,\n"}, ("--fix-sigma", "1,1"), "fix.csv:2: column y: blank; both x and y, or neither"),
         ({"fixes": "frame,x,y\n4,1,1\n"}, ("--fix-sigma", "1,1"), ":2: column frame: 4 is out of range; the odometry"),
         ({"fixes": "t,x,y,sx\n0.5,1,1,-1\n"}, ("--fix-sigma", "1,1"), ":2: column sx: -1 is no standard deviation > 0"),

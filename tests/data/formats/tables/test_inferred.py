@@ -1,0 +1,90 @@
+"""What only one reading of the data explains is read so, and said: units, several observations in a row, the start."""
+
+import numpy as np
+import pytest
+
+from data.origin import Origin
+from data.se2 import wrap_angle
+
+BASE = 0.5  # m, between the axles
+T = np.arange(300) * 0.1
+V, STEERING = 1.0 + 0.2 * np.sin(0.2 * T), 0.2 * np.cos(0.05 * T)
+OMEGA = V * np.tan(STEERING) / BASE
+THETA = np.concatenate([[0.0], np.cumsum(0.1 * OMEGA[:-1])])
+WAY = 0.1 * V[:-1] * np.sinc(0.05 * OMEGA[:-1] / np.pi)
+XY = [np.concatenate([[0.0], np.cumsum(WAY * f(THETA[:-1] + 0.05 * OMEGA[:-1]))]) for f in (np.cos, np.sin)]
+POSE = np.column_stack([*XY, THETA])
+PLACES = np.array([[3.0, 4.0], [-2.0, 5.0], [6.0, 1.0], [1.0, -3.0]])
+
+
+def text(names, *columns):
+    rows = "\n".join(",".join(f"{v:.9g}" for v in row) for row in np.column_stack(columns))
+    return f"{names}\n{rows}\n"
+
+
+def observed():
+    """Two landmarks in each row, the nearest, with their ids."""
+    rows = []
+    for t, (x, y, theta) in zip(T[::10], POSE[::10], strict=True):
+        off = PLACES - [x, y]
+        seen = np.column_stack([range(4), np.hypot(*off.T), wrap_angle(np.arctan2(off[:, 1], off[:, 0]) - theta)])
+        rows.append([t, *seen[np.argsort(seen[:, 1])[:2]].ravel()])
+    return text("time,id_1,range_1,bearing_1,id_2,range_2,bearing_2", rows)
+
+
+@pytest.fixture
+def converted(convert):
+    """`converted(odometry, *flags)`: the log beside a truth in degrees, and what is said."""
+    files = {"seen.csv": observed(), "truth.csv": text("time,x,y,yaw", T, POSE * [1.0, 1.0, np.rad2deg(1.0)])}
+    named = ("--observations", "seen.csv", "--truth", "truth.csv")
+    return lambda odometry, *flags, **status: convert(
+        files | {"o.csv": odometry}, "table", "o.csv", "out", *named, *flags, **status
+    )
+
+
+def test_speed_and_steering_of_a_car(converted):
+    odometry = text("time,speed,steer_deg", T, V, np.rad2deg(STEERING))
+    assert "--wheel-base" in converted(odometry, status=2)
+    log, said = converted(odometry, "--wheel-base", "50cm")
+    assert "warning" not in said
+    np.testing.assert_allclose(log.truth.pose[:30, 2], wrap_angle(POSE[::10, 2]), atol=1e-6)
+    np.testing.assert_allclose(log.recorded.increments.mean[1:30, 2], np.diff(POSE[::10, 2]), atol=1e-6)
+    assert (log.origins["units"], "inferred: --unit truth.theta=deg" in said) == (Origin.INFERRED, True)
+    o = log.recorded.observations  # each row holds two, whose ids name the landmarks
+    assert np.hypot(*(PLACES[log.label] - POSE[10 * o.frame, :2]).T) == pytest.approx(o.z[:, 0], abs=1e-6)
+    assert len(o.z) == 60
+    asked, said = converted(odometry, "--wheel-base", "0.5", "--unit", "truth.theta=rad")
+    assert "heading unit" in said
+    assert asked.origins["units"] is Origin.GIVEN
+
+
+def test_steps_without_a_sideways_motion(converted):
+    way = np.hypot(*np.diff(POSE[:, :2], axis=0, prepend=POSE[:1, :2]).T)
+    log, said = converted(text("time,d,delta_theta", T, way, np.diff(THETA, prepend=0.0)))
+    assert "assumed: steps have no dy" in said
+    assert "warning" not in said
+    np.testing.assert_allclose(log.recorded.increments.mean[1:30, 2], np.diff(POSE[::10, 2]), atol=1e-6)
+
+
+def test_fixes_tell_the_start_and_files_side_by_side_are_one_table(convert):
+    c, s = np.cos(0.7), np.sin(0.7)
+    gps = text("t,x,y", T[::10], (POSE[:, :2] @ [[c, s], [-s, c]] + [5.0, -3.0])[::10])
+    files = {f"{n}.txt": text("", v).lstrip() for n, v in (("clock", T), ("speed", V), ("turn", OMEGA))}
+    words = ("--fixes", "gps.csv", "--columns", "odometry.t=clock,v=speed,omega=turn")
+    table = (files | {"gps.csv": gps}, "table", "clock.txt+speed.txt+turn.txt", "out", *words)
+    assert "unknown start" in convert(*table, status=2)  # of noise of 1 m, which is assumed, the way is too short
+    log, said = convert(*table, "--fix-sigma", "5cm,5cm")
+    assert log.recorded.prior.mean == pytest.approx([5.0, -3.0, 0.7], abs=0.05)
+    assert (log.origins["prior"], "inferred: --prior=" in said) == (Origin.INFERRED, True)
+
+
+def test_a_folder_of_observations_a_file_for_each_row(convert, tmp_path):
+    """Rows without stamps at a stated period; observations are points in the sensor's frame."""
+    (tmp_path / "seen").mkdir()
+    for k in range(300):
+        (tmp_path / "seen" / f"{k:05d}.txt").write_text("".join(f"2 {j}\n" for j in range(1 + k % 3)))
+    names = "odometry.v=1,odometry.omega=2,observations.x=1,observations.y=2"
+    words = ("--observations", tmp_path / "seen", "--columns", names, "--period", "0.1s")
+    log, _ = convert({"o.csv": text("", V, OMEGA).lstrip()}, "table", "o.csv", "out", *words)
+    assert np.bincount(log.recorded.observations.frame).tolist() == [1 + k % 3 for k in range(300)]
+    assert log.recorded.time[-1] == pytest.approx(29.9)
