@@ -815,11 +815,14 @@ def explanations(c: Case, *, whole: bool = True) -> list[Explained]:
         return minutes
     if (twice := _doubled(x)) or x.sound:
         return twice or _by_size(x) or (_strange(x) if c.names is not None else []) or _order(x)
-    singles = sorted(x.plain(), key=lambda e: -e.gain)
+    spins = bool(fastest(c.time, c.u[1:, 2]))
+    straight = x.judged(Reading(SCALE, "omega", _turning(0.0))).gain
+    # where no turn at all fits as well, something else is wrong
+    singles = [e for e in x.plain() if spins or not _of_turns(e) or straight < e.gain - max(2.0, CLOSE * e.gain)]
+    singles = sorted(singles, key=lambda e: -e.gain)
     found = [e for e in singles if accepted(e)]
     if whole and (not found or found[0].left) and (part := _in_part(c)):
         return part
-    spins = bool(fastest(c.time, c.u[1:, 2]))
     if spins:  # between frames a turn in degrees has hidden the way
         found = [e for e in found if "omega" in e.readings[0].of]
     # bearings in the world use no heading of the truth, as if it were wrong
@@ -871,8 +874,11 @@ def explanations(c: Case, *, whole: bool = True) -> list[Explained]:
         read = [reduce(lambda case, r: r.change(case), e.readings, c) for e in result]
         fits = [None if y.along is None else witnesses.placed_at(y, s.soon, y.along, drift=True) for y in read]
         result = [e for e, f in zip(result, fits, strict=True) if f is not None and f.off <= POOR] or result
-    smaller = sum(e.readings[-1].of == "omega" and e.readings[-1].kind == UNIT for e in result)
-    return [] if smaller > 1 and not spins else result  # no turn at all fits as well: something else is wrong
+    return result
+
+
+def _of_turns(e: Explained) -> bool:
+    return e.readings[-1].kind == UNIT and e.readings[-1].of == "omega"
 
 
 def _in_part(c: Case) -> list[Explained]:
