@@ -119,10 +119,6 @@ def _exchanged(ids: Array) -> Array:
     return np.where(ids == 5, 9, np.where(ids == 9, 5, ids))
 
 
-def _doubled(t: Tables) -> Tables:
-    return replace(t, seen=np.repeat(t.seen, 2, axis=0))
-
-
 def _ahead(part: str, metres: float) -> Change:
     """The origin of polar coordinates, or poses, moved ahead."""
 
@@ -147,13 +143,9 @@ def _turned_sensor(angle: float) -> Change:
     return change
 
 
-def _headings(t: Tables, at: Array) -> Array:
-    return np.interp(at, t.truth[:, 0], np.unwrap(t.truth[:, 3]))
-
-
 def _in_the_world(t: Tables) -> Tables:
     seen = t.seen.copy()
-    seen[:, 2] = wrap_angle(seen[:, 2] + _headings(t, seen[:, 0]))
+    seen[:, 2] = wrap_angle(seen[:, 2] + np.interp(seen[:, 0], t.truth[:, 0], np.unwrap(t.truth[:, 3])))
     return replace(t, seen=seen)
 
 
@@ -197,6 +189,24 @@ def _away(*offset: float) -> Change:
     return change
 
 
+def _from(start: float, change: Change) -> Change:
+    """A change of what is stamped later alone."""
+
+    def later(t: Tables) -> Tables:
+        rows = {p: getattr(t, p)[:, 0] >= start for p in ("odometry", "seen", "truth")}
+        other = change(replace(t, **{p: getattr(t, p)[k] for p, k in rows.items()}))
+        both = {p: np.vstack([getattr(t, p)[~k], getattr(other, p)]) for p, k in rows.items()}
+        return replace(t, **both)
+
+    return later
+
+
+def _distances(t: Tables) -> Tables:
+    return replace(
+        t, odometry=np.column_stack([*t.odometry.T[:1], np.cumsum(t.odometry[:, 1]) / RATE, t.odometry[:, 2]])
+    )
+
+
 MM = _both(_times("odometry", 1, 1000, 1), _times("seen", 1, 1000, 1, 1), _times("known", 1, 1000, 1000),
            _times("truth", 1, 1000, 1000, 1))  # fmt: skip
 CM = _both(_times("odometry", 1, 100, 1), _times("seen", 1, 100, 1, 1), _times("known", 1, 100, 100),
@@ -211,6 +221,9 @@ MISTAKES: dict[str, Change] = {
     "observations 100 s late": _late("seen", 100.0), "sensor 1.2 m ahead": _ahead("seen", -1.2),
     "truth of an antenna": _ahead("truth", 0.8), "map x to the other side": _times("known", 1, -1, 1),
     "bearing and turn clockwise": _both(_times("odometry", 1, 1, -1), _times("seen", 1, 1, -1, 1)),
+    "v and omega of a row": _times("odometry", 1, 1 / RATE, 1 / RATE), "v a distance": _distances,
+    "from 60 s on 20 s late": _from(60.0, _late("seen", 20.0)),
+    "from 60 s on to the other side": _from(60.0, _times("odometry", 1, 1, -1)),
     "v backward": _times("odometry", 1, -1, 1), "v in km/h": _times("odometry", 1, 3.6, 1),
     "omega in deg/s": _times("odometry", 1, 1, 1 / DEG), "map in mm": _times("known", 1, 1000, 1000),
     "truth in mm": _times("truth", 1, 1000, 1000, 1), "map y to the other side": _times("known", 1, 1, -1),
@@ -219,7 +232,8 @@ MISTAKES: dict[str, Change] = {
     "ids of observations one more": _ids("seen", 3, lambda i: i + 1),
     "ids of the map one less": _ids("known", 0, lambda i: i - 1), "random ids": _ids("seen", 3, _random),
     "random ids of the map": _ids("known", 0, _random), "two ids exchanged": _ids("known", 0, _exchanged),
-    "every observation twice": _doubled, "v and omega swapped": _swapped("odometry", 1, 2),
+    "every observation twice": lambda t: replace(t, seen=np.repeat(t.seen, 2, axis=0)),
+    "v and omega swapped": _swapped("odometry", 1, 2),
     "range and bearing swapped": _both(_ids("seen", 2, lambda b: b % (2.0 * np.pi)), _swapped("seen", 1, 2)),
     "omega to the other side": _times("odometry", 1, 1, -1), "bearings to the other side": _times("seen", 1, 1, -1, 1),
     "observations 0.3 s late": _late("seen", 0.3), "observations 1 s late": _late("seen", 1.0),
