@@ -19,7 +19,7 @@ from data.log import Log
 from data.logs import Reading, is_world, open_scored, unknown_world
 from data.notice import Code, Notice, Severity, notice
 from data.questions.asked import assumed_noise, truth_windows
-from data.se2 import Array
+from data.se2 import Array, wrap_angle
 from data.truth_windows import scored as screened
 from data.words import sentence
 from eval.plan.flags.table import Output, Scoring
@@ -183,10 +183,14 @@ def aligned_first(s: Scored, values: Mapping[str, float]) -> Notice | None:
     how, column, fits = ("se3", "rmse_position_3d_se3_m", rigid) if s.run.space else ("se2", "rmse_aligned_m", rigid)
     if abs(math.log(values.get("scale_sim3", 1.0))) > SCALED and TILTED * scaled < min(rigid, 0.5 * size):
         how, column, fits = "sim3", "rmse_position_3d_sim3_m", scaled
+    off = s.run.trajectory(s.phase).pose - s.run.match.truth
+    off = off[np.isfinite(off[:, :2]).all(axis=1)]
+    begun = len(off) > 0 and math.hypot(*off[0, :2]) < fits and abs(wrap_angle(off[0, 2])) < SAME_START
     tilted = any(n.code == Code.PATH_TILT and n.named["which"] == "world" for n in s.run.notes)
     if (
         len(known) < PLENTY
         or size < STANDING
+        or begun
         or mean < CONSISTENT
         or not direct > max((TILTED if tilted else CLEARLY) * fits, SIZE * size)
     ):
@@ -194,6 +198,7 @@ def aligned_first(s: Scored, values: Mapping[str, float]) -> Notice | None:
     return notice(Code.ALIGNED_FIRST, column=column, direct=direct, how=how)
 
 
+SAME_START = math.radians(10.0)  # Heading between first poses, in one place, of a path that drifts from its truth's
 STANDING = 0.01  # m, extent of a robot that stands or turns in place, whose positions tell no frame
 CONSISTENT = 12.0  # Pose NEES up to which an estimate states that it is so far off
 
