@@ -86,6 +86,9 @@ def _instants(
     return (stamps, True) if stamped else (rows, False)
 
 
+ANEW = 5.0  # s, by which one step back is no delay of a message
+
+
 def _at(table: Table, keys: Sequence[str], stamped: bool, odometry: Odometry) -> Array:
     """Instants (K, keys) [s] of stamps, or of row numbers of the odometry."""
     if stamped:
@@ -196,7 +199,9 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
     nothing = np.zeros(len(z), np.int64)
     found = Rows(what, "observation", table, at, stamped, z, np.tile(of.sigma, (len(z), 1)), nothing)
     if back := int((np.diff(at[:, 0]) < 0.0).sum()):
-        notes.append(f"{file.path.name}: {back} observations were stamped before the one above; sorted")
+        far = -float(np.diff(at[:, 0]).min())
+        anew = f", one by {far:.6g} s: did the clock begin anew there?" * (back == 1 and stamped and far > ANEW)
+        notes.append(f"{file.path.name}: {back} observations were stamped before the one above{anew}; sorted")
         found = found.part(np.argsort(at[:, 0], kind="stable"))
     return found
 
