@@ -26,7 +26,7 @@ from eval.plan.flags.table import Output, Scoring
 from eval.plan.results import TRUTH, Result, manner_of, offset_of, phase_of, runs_of, true_path, truth_of
 from eval.referee import consistency, errors, result_files
 from eval.referee.consistency import QUANTITIES
-from eval.referee.given.pairing import PLENTY
+from eval.referee.given.pairing import FITS, OTHER_FRAME, PLENTY, POOR
 from eval.referee.given.runs import GivenRun, TruePath, truth_log
 from eval.referee.metrics import OF_ESTIMATES
 from eval.referee.score import Trial, metrics_row
@@ -112,7 +112,7 @@ def scored(file: str, truth: str, reading: Scoring) -> Scored:
     except DataError:
         return found
     off = [columns_in_space(s.run.space[s.phase]).get("rmse_rotation_3d_se3_deg", math.inf) for s in (found, other)]
-    if not off[1] < off[0] / CLEARLY:
+    if not off[1] < off[0] / OTHER_FRAME:
         return found
     said = notice(Code.QUATERNION_ORDER, file=file, stated=off[0], fits=off[1])
     return replace(other, notes=(sentence(said), *other.notes))
@@ -163,10 +163,8 @@ def scores(s: Scored) -> dict[str, float]:
     return found | (columns_in_space(s.run.space[s.phase]) if s.phase in s.run.space else {})
 
 
-CLEARLY, TILTED, SIZE, SCALED = 5.0, 2.0, 0.05, 0.2
-"""Least ratio of RMS errors as read and after a fit, and where verticals or scales differ; least share of the path's
-extent that an error of another frame has; least logarithm of a scale that is unknown, as of one camera.
-"""
+TILTED, SCALED = 2.0, 0.2
+"""Least ratio of RMS errors as read and after a fit where verticals or scales differ; least logarithm of such a scale."""
 
 
 def aligned_first(s: Scored, values: Mapping[str, float]) -> Notice | None:
@@ -191,8 +189,8 @@ def aligned_first(s: Scored, values: Mapping[str, float]) -> Notice | None:
         len(known) < PLENTY
         or size < STANDING
         or begun
-        or mean < CONSISTENT
-        or not direct > max((TILTED if tilted else CLEARLY) * fits, SIZE * size)
+        or mean < POOR
+        or not direct > max((TILTED if tilted else OTHER_FRAME) * fits, FITS * size)
     ):
         return None
     return notice(Code.ALIGNED_FIRST, column=column, direct=direct, how=how)
@@ -200,7 +198,6 @@ def aligned_first(s: Scored, values: Mapping[str, float]) -> Notice | None:
 
 SAME_START = math.radians(10.0)  # Heading between first poses, in one place, of a path that drifts from its truth's
 STANDING = 0.01  # m, extent of a robot that stands or turns in place, whose positions tell no frame
-CONSISTENT = 12.0  # Pose NEES up to which an estimate states that it is so far off
 
 
 def _sample(s: Scored) -> Sample:
