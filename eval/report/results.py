@@ -164,7 +164,7 @@ def scores(s: Scored) -> dict[str, float]:
 
 
 TILTED, SCALED = 2.0, 0.2
-"""Least ratio of RMS errors as read and after a fit where verticals or scales differ; least logarithm of such a scale."""
+"""Least ratio of RMS errors as read and after a fit where verticals or scales differ; least logarithm of a scale."""
 
 
 def aligned_first(s: Scored, values: Mapping[str, float]) -> Notice | None:
