@@ -332,7 +332,8 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     )  # fmt: skip
     several = [of.sensor.label for of in wanted.sensors if of.sensor.label]
     files = {role: path.name for role, path in wanted.files.items() if role not in several}
-    digest = {role: _digest(path) for role, path in wanted.files.items()}
+    each = {role: [path] if path.is_dir() else parts_of(path) for role, path in wanted.files.items()}
+    digest = {role: " ".join(file_sha256(file_and_word(p)[0]) for p in some) for role, some in each.items()}
     files |= {f"{role}_sha256": digest[role] for role in wanted.files if role not in several}
     more: dict[str, object] = {ODOMETRY_KIND: "velocities" if odometry.velocities else wanted.kind}
     if several:
@@ -355,13 +356,6 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     if true is not None:
         stamped = (time if true.time is None else true.time, true.pose)
     return Recording(log, Samples(odometry.time, odometry.motion, VelocityModel(wanted.noise, wanted.model), stamped))
-
-
-def _digest(path: Path) -> str:
-    parts = parts_of(path)
-    if len(parts) == 1 or path.is_dir():
-        return file_sha256(file_and_word(path)[0])
-    return " ".join(map(file_sha256, parts))
 
 
 def _origins(wanted: Wanted) -> Origins:
