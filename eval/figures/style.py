@@ -356,7 +356,7 @@ def _kept(axis: Any) -> Callable[[], list[Tick]]:
 
 
 def settle(fig: Figure, times: int = 2) -> FigureCanvasAgg:
-    """Lay a figure out for good, labels of y axes in line; its canvas. With equal aspect, each layout moves everything."""
+    """Lay a figure out for good, labels of y axes in line; its canvas. With equal aspect, each layout moves all."""
     # its renderer keeps the sizes of texts, until they are drawn
     canvas = fig.canvas if isinstance(fig.canvas, FigureCanvasAgg) else FigureCanvasAgg(fig)
     with _ticks_kept(fig):
