@@ -87,10 +87,8 @@ class Parser(argparse.ArgumentParser):
             word = next((w for w in left if w.startswith("-")), left[0])
             flag = f"--{word.partition('=')[0].lstrip('-')}"
             hint = did_you_mean(flag, flags) if word.startswith("-") else ""
-            if others := [
-                *OF_OTHERS.get(flag, ()),
-                *(n for n, p in parsers.items() if flag in p._option_string_actions),
-            ]:
+            others = [*OF_OTHERS.get(flag, ()), *(n for n, p in parsers.items() if flag in p._option_string_actions)]
+            if others and word.startswith("--") and self.prog not in others:
                 self.error(f"{word}: a flag of {', '.join(others)}, not of this command")
             what = "unknown flag" if word.startswith("-") else "a word too many"
             self.error(f"{word}: {what}{hint}")

@@ -180,6 +180,7 @@ def said(tmp_path, monkeypatch, refused):
     (f"{TABLE} --unit v=kmhr", "did you mean km/h?"),
     (f"{TABLE} --tick-wrap 65536", "of wheel ticks; the odometry has velocities"),
     ("run arena:0 -estimator ekf", "did you mean --estimator?"),
+    ("convert table a.csv out --exclude-truth 1:2", "a flag of slamref run, slamref score, slamref convert mrclam"),
     ("run arena0", "Did you mean arena:0?"),
     ("runn arena:0", "Did you mean run?"),
     ("benchmark quick", "a word too many"),
