@@ -267,7 +267,7 @@ def search_first(
     choice, best_choice = np.empty(m, np.int64), np.empty(m, np.int64)
     for i in range(m):
         choice[i] = best_choice[i] = UNPAIRED
-    best, best_d2, t, nodes = 0, 0.0, 0, 1
+    best, best_d2, t, nodes = 0, 0.0, made[0], 1  # a literal for t would compile what is called with it twice
     while t >= 0:
         q = made[t]
         if t == m:

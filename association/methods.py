@@ -107,9 +107,11 @@ def gnn(expectation: Expectation, gate: float | None) -> IntArray:
     cost = np.full((len(rows), len(columns) + len(rows)), forbidden)
     cost[:, : len(columns)][allowed] = some[allowed]
     cost[np.arange(len(rows)), len(columns) + np.arange(len(rows))] = new
-    observation, choice = scipy.optimize.linear_sum_assignment(cost)
+    choice = cost.argmin(axis=1)
+    if len(set(choice.tolist())) < len(rows):  # the cheapest of each, unless two want the same
+        choice = scipy.optimize.linear_sum_assignment(cost)[1]
     paired = choice < len(columns)
-    decisions[rows[observation[paired]]] = e.number[columns[choice[paired]]]
+    decisions[rows[paired]] = e.number[columns[choice[paired]]]
     return decisions
 
 

@@ -182,11 +182,12 @@ def invertible_roots(covariance: Array, name: Callable[[int], str], remedy: str)
     singular one, with the name of its row and the `remedy`.
     """
     roots, pivot = root_information(covariance)
-    bad = np.flatnonzero(~(pivot > SINGULAR))
-    if len(bad):
+    least = float(pivot.min(initial=np.inf))
+    if not least > SINGULAR:
+        bad = np.flatnonzero(~(pivot > SINGULAR))
         what = f"its covariance is singular (variance {pivot[bad[0]]:.3g} in some direction)"
         raise DataError(f"{name(int(bad[0]))}: {what}; a smoother needs {remedy}")
-    return roots, float(pivot.min(initial=np.inf))
+    return roots, least
 
 
 def increment_roots(first_frame: int, covariance: Array) -> tuple[Array, float]:
@@ -200,9 +201,8 @@ def observation_roots(covariance: Array, R: Array, frame: IntArray) -> Array:
     Raises DataError for one that is not positive definite.
     """
     roots, pivot = root_information(covariance)
-    bad = np.flatnonzero(~(pivot > 0.0))
-    if len(bad):
-        i = bad[0]
+    if not pivot.min(initial=np.inf) > 0.0:
+        i = np.flatnonzero(~(pivot > 0.0))[0]
         raise DataError(f"frame {frame[i]}: measurement covariance {R[i].tolist()} is not positive definite")
     return np.asarray(roots, float)
 
@@ -252,8 +252,8 @@ def factors_between(
 ) -> list[gtsam.BetweenFactorPose2]:
     """Relative poses (n, 3) of poses key2 (n,) in the frames of key1 (n,), with the roots of their information."""
     return [
-        gtsam.BetweenFactorPose2(X(a), X(b), pose2(m), with_loss(noise.Gaussian.SqrtInformation(R), loss))
-        for a, b, m, R in zip(key1.tolist(), key2.tolist(), relative, roots, strict=True)
+        gtsam.BetweenFactorPose2(X(a), X(b), gtsam.Pose2(*m), with_loss(noise.Gaussian.SqrtInformation(R), loss))
+        for a, b, m, R in zip(key1.tolist(), key2.tolist(), relative.tolist(), roots, strict=True)
     ]
 
 
@@ -321,13 +321,16 @@ def landmark_factors(
 ) -> list[ObservationFactors]:
     """SLAM: observations z (m, 2), R (m, 2, 2) of landmarks `number` (m,) from frames (m,)."""
     result, dims = [], len(sensor.measures)
+    models = dict[bytes, gtsam.noiseModel.Base]()  # shared by observations of one covariance
     for f, n, point, h, root in zip(frame.tolist(), number.tolist(), *measured(sensor, z, R, frame), strict=True):
         pose, landmark = X(f), L(n)
         if point:
             factors = coordinate_factors(pose, landmark, h, root, loss)
         else:
-            model = with_loss(noise.Gaussian.SqrtInformation(root), loss)
-            factors = [bearing_range_factor(sensor, pose, landmark, h, model)]
+            alike = root.tobytes()
+            if alike not in models:
+                models[alike] = with_loss(noise.Gaussian.SqrtInformation(root), loss)
+            factors = [bearing_range_factor(sensor, pose, landmark, h, models[alike])]
         result.append(ObservationFactors(f, n, landmark, factors, dims=dims))
     return result
 

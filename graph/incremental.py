@@ -421,7 +421,7 @@ class Isam2Smoother:
         formed: NIS and likelihood are NaN, dof 0.
         """
         used, at = decisions >= 0, None if at is None else self._end.inside(at)
-        if unknown := self._observed.missing(decisions[used]):
+        if unknown := self._observed.missing(decisions if used.all() else decisions[used]):
             raise ValueError(f"no landmark has number {unknown[0]}")
         nis, dof, likelihood = np.nan, 0, np.nan
         if (innovations or threshold < np.inf) and used.any():

@@ -270,10 +270,10 @@ def _descend(linearizer: Linearizer, values: gtsam.Values, *, enough: float = ST
             first *= 0.5
         elif left < 0.1 * before:
             first = min(1.0, 2.0 * first)
-        delta = linearizer.tangent(solution, values)
+        delta = linearizer.step(linearizer.tangent(solution, values), solution.constants)
         if extrapolates:
-            past = extended(past, *linearizer.flat(values, linearizer.moved(values, delta, solution.constants)))
-        for share, moved in _trials(linearizer, values, delta, solution, first, past):
+            past = extended(past, *linearizer.flat(values, linearizer.moved(values, delta)))
+        for share, moved in _trials(linearizer, values, delta, first, past):
             moved_error = linearizer.cost(moved)
             limit = error - ARMIJO * share * (1.0 - 0.5 * share) * left**2 + ERROR_ROUNDING * (1.0 + error)
             if moved_error <= limit:
@@ -286,7 +286,7 @@ def _descend(linearizer: Linearizer, values: gtsam.Values, *, enough: float = ST
 
 
 def _trials(
-    linearizer: Linearizer, values: gtsam.Values, delta: Array, solution: Solution, first: float,
+    linearizer: Linearizer, values: gtsam.Values, delta: gtsam.VectorValues, first: float,
     past: Sequence[tuple[Array, Array]],
 ) -> Iterator[tuple[float, gtsam.Values]]:  # fmt: skip
     """Next estimates to try, and their share of a step: extrapolated, then from `first` on shorter and shorter."""
@@ -295,7 +295,7 @@ def _trials(
         yield 1.0, linearizer.unflat(extrapolated, values)
     share = first
     while share > SHORTEST:
-        yield share, linearizer.moved(values, share * delta, share * solution.constants)
+        yield share, linearizer.moved(values, delta.scale(share))
         share *= 0.5
 
 

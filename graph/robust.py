@@ -89,9 +89,10 @@ class Graduated:
         if triangle.free >= 0:
             return now
         solution = solve(rows, linearizer.structure, triangle, linearizer.constants(now.values))
-        delta, share, cost = linearizer.tangent(solution, now.values), 1.0, now.cost(weight)
+        step = linearizer.step(linearizer.tangent(solution, now.values), solution.constants)
+        share, cost = 1.0, now.cost(weight)
         while share > SHORTEST:
-            moved = self.at(linearizer.moved(now.values, share * delta, share * solution.constants))
+            moved = self.at(linearizer.moved(now.values, step.scale(share)))
             if moved.cost(weight) < cost:
                 return moved
             share *= 0.5

@@ -119,10 +119,6 @@ def _exchanged(ids: Array) -> Array:
     return np.where(ids == 5, 9, np.where(ids == 9, 5, ids))
 
 
-def _doubled(t: Tables) -> Tables:
-    return replace(t, seen=np.repeat(t.seen, 2, axis=0))
-
-
 def _ahead(part: str, metres: float) -> Change:
     """The origin of polar coordinates, or poses, moved ahead."""
 
@@ -147,13 +143,9 @@ def _turned_sensor(angle: float) -> Change:
     return change
 
 
-def _headings(t: Tables, at: Array) -> Array:
-    return np.interp(at, t.truth[:, 0], np.unwrap(t.truth[:, 3]))
-
-
 def _in_the_world(t: Tables) -> Tables:
     seen = t.seen.copy()
-    seen[:, 2] = wrap_angle(seen[:, 2] + _headings(t, seen[:, 0]))
+    seen[:, 2] = wrap_angle(seen[:, 2] + np.interp(seen[:, 0], t.truth[:, 0], np.unwrap(t.truth[:, 3])))
     return replace(t, seen=seen)
 
 
@@ -219,7 +211,8 @@ MISTAKES: dict[str, Change] = {
     "ids of observations one more": _ids("seen", 3, lambda i: i + 1),
     "ids of the map one less": _ids("known", 0, lambda i: i - 1), "random ids": _ids("seen", 3, _random),
     "random ids of the map": _ids("known", 0, _random), "two ids exchanged": _ids("known", 0, _exchanged),
-    "every observation twice": _doubled, "v and omega swapped": _swapped("odometry", 1, 2),
+    "every observation twice": lambda t: replace(t, seen=np.repeat(t.seen, 2, axis=0)),
+    "v and omega swapped": _swapped("odometry", 1, 2),
     "range and bearing swapped": _both(_ids("seen", 2, lambda b: b % (2.0 * np.pi)), _swapped("seen", 1, 2)),
     "omega to the other side": _times("odometry", 1, 1, -1), "bearings to the other side": _times("seen", 1, 1, -1, 1),
     "observations 0.3 s late": _late("seen", 0.3), "observations 1 s late": _late("seen", 1.0),

@@ -595,7 +595,7 @@ FIRST = (0.1, 0.1, 0.05)  # m, m, rad; standard deviations of the first true pos
 @dataclass(frozen=True)
 class Wanted:
     """What messages do not state: prior mean and sigma (3,); sigma of points [m], bearings [rad], positions [m] and
-    headings [rad] without covariance; second: noise of a second odometry. None: not stated.
+    headings [rad] without covariance; second: noise of a second odometry. None: not stated. `assumed`: flags by role.
     """
 
     prior: Array | None = None
@@ -605,6 +605,23 @@ class Wanted:
     positions: float | None = None
     headings: float | None = None
     second: TravelNoise | None = None
+    assumed: dict[Role, str] = field(default_factory=dict)
+
+    def sigma(self, role: Role) -> float:
+        """The stated sigma of a role's topics, else the usual one, which is noted as assumed."""
+        flag, usual, unit = USUAL[role]
+        value: float | None = getattr(self, flag + "s")
+        if value is None:
+            self.assumed[role] = f"--{flag}-sigma {usual:g}{unit}"
+            return math.radians(usual) if unit == "deg" else usual
+        return value
+
+
+USUAL = {
+    Role.POINTS: ("point", 0.1, "m"), Role.BEARINGS: ("bearing", 2.0, "deg"), Role.POSITIONS: ("position", 1.0, "m"),
+    Role.HEADINGS: ("heading", 5.0, "deg"),
+}  # fmt: skip
+"""Flag and sigma of each role where nobody states it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -644,6 +661,7 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
     if not seen and not fixed and laser is None and second is None:
         reasons = "; ".join(left) or "no topic of scans, detections or fixes"
         raise DataError.at(path, f"nothing beside the odometry: {reasons}; --list names what each topic becomes")
+    left += [f"assumed: {flag}" for flag in wanted.assumed.values()]
     notes = [f"Odometry: {odometry}, poses of {robot or 'the robot'} interpolated at the frames.", *notes, *left]
     first, last = float(stamp[0]), float(stamp[-1])
     if last - first > LONGEST:
@@ -680,6 +698,7 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
     origins |= {"odometry_noise": Origin.ASSUMED} | ({"observation_noise": Origin.GIVEN} if seen else {})
     given = {"fix_noise": wanted.positions or wanted.headings, "closure_noise": wanted.second}
     origins |= {quantity: Origin.GIVEN for quantity, value in given.items() if value is not None}
+    origins |= {"fix_noise" if role in FIXES else "observation_noise": Origin.ASSUMED for role in wanted.assumed}
     origins |= {f"max_range.{s.sensor.label}": Origin.INFERRED for s in seen if isinstance(s.sensor, RelativePoint)}
     if wanted.prior_sigma is not None or true is not None:
         origins["prior"] = Origin.ASSUMED if wanted.prior_sigma is None else Origin.GIVEN
@@ -744,23 +763,17 @@ def _by_sensor(topic: Topic, parts: Sequence[Array], wanted: Wanted) -> _Seen:
     turned = np.einsum("nij,nj->ni", R, where)
     if topic.role is Role.POINTS:
         z = (turned + t)[:, :2]
-        sigma = _stated(wanted.points, topic, "--point-sigma M")
+        sigma = wanted.sigma(topic.role)
         reach = 1.001 * float(np.hypot(*z.T).max())
         sensor: Sensor = RelativePoint(max_range=reach if reach > 0.0 else np.inf, label=_named(topic.name))
         covariance = np.tile(sigma**2 * np.eye(2), (len(z), 1, 1))
     else:
         z = np.column_stack([np.zeros(len(at)), np.arctan2(turned[:, 1], turned[:, 0])])
-        sigma = _stated(wanted.bearings, topic, "--bearing-sigma ANGLE")
+        sigma = wanted.sigma(topic.role)
         x, y = (-t[:, :2].mean(axis=0)).tolist()
         sensor = Bearing(translation=(x + 0.0, y + 0.0), label=_named(topic.name))
         covariance = np.tile(np.diag([1.0, sigma**2]), (len(z), 1, 1))
     return _Seen(sensor, at[order], z[order], covariance[order], ids[order].astype(np.int64))
-
-
-def _stated(sigma: float | None, topic: Topic, flag: str) -> float:
-    if sigma is None:
-        raise UsageError(f"{topic.name}: unknown noise of its {topic.role}; {flag}, or --skip {topic.name}, is needed")
-    return sigma
 
 
 def _joined(seen: Sequence[_Seen], time: Array) -> tuple[Observations, tuple[Sensor, ...], IntArray | None]:
@@ -789,7 +802,7 @@ def _fixed(topics: Sequence[Topic], found: Collected, wanted: Wanted, robot: str
             at, place, C = (np.array([r[k] for r in rows]) for k in range(3))
             origin = place[0] if origin is None else origin
             P = np.zeros((len(rows), 3, 3))
-            P[:, :2, :2] = _filled(C, wanted.positions, t, "--position-sigma M")
+            P[:, :2, :2] = _filled(C, t, wanted)
             z = np.column_stack([east_north(place, origin), np.zeros(len(rows))])
             x, y = (0.0, 0.0) if mounted is None else mounted[1][0, :2].tolist()
             made.append(_Fixed(FixSource(_named(t.name), (x, y)), FixKind.POSITION, at, z, P))
@@ -809,19 +822,19 @@ def _of_poses(topic: Topic, rows: Sequence[Pose], mounted: tuple[Array, Array] |
     kept = np.unique(np.floor((at - at.min()) / EVERY), return_index=True)[1]
     at, z = at[kept], z[kept]
     C = np.zeros((len(kept), 3, 3))
-    C[:, 2, 2] = _filled(P[kept][:, 2:, 2:], wanted.headings, topic, "--heading-sigma ANGLE")[:, 0, 0]
+    C[:, 2, 2] = _filled(P[kept][:, 2:, 2:], topic, wanted)[:, 0, 0]
     R = np.eye(3) if mounted is None else mounted[0][0]
     turned = float(np.arctan2(R[1, 0], R[0, 0]))
     return _Fixed(FixSource(_named(topic.name), rotation=turned), FixKind.HEADING, at, z, C)
 
 
-def _filled(covariance: Array, sigma: float | None, topic: Topic, flag: str) -> Array:
+def _filled(covariance: Array, topic: Topic, wanted: Wanted) -> Array:
     """Covariances (n, d, d), those that are not stated from a sigma."""
     low = np.linalg.eigvalsh(np.where(np.isfinite(covariance), covariance, 0.0))[:, 0]
     lacking = ~(low > 0.0)
     if lacking.any():
         covariance = covariance.copy()
-        covariance[lacking] = _stated(sigma, topic, flag) ** 2 * np.eye(covariance.shape[-1])
+        covariance[lacking] = wanted.sigma(topic.role) ** 2 * np.eye(covariance.shape[-1])
     return np.asarray(0.5 * (covariance + covariance.transpose(0, 2, 1)))
 
 

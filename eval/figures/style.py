@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import Tick
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.colors import to_hex, to_rgba
@@ -324,12 +325,45 @@ def drawing() -> Iterator[None]:
         yield
 
 
+@contextmanager
+def _ticks_kept(fig: Figure) -> Iterator[None]:
+    """While a figure is laid out or drawn, an axis makes its ticks again only where its limits or its panel's size
+    changed: matplotlib does so for each spine, title and label, 25 times a panel.
+    """
+    panels: list[Any] = [axis for ax in fig.axes for axis in (ax.xaxis, ax.yaxis)]
+    kept = [axis for axis in panels if "_update_ticks" not in vars(axis)]
+    for axis in kept:
+        axis._update_ticks = _kept(axis)
+    try:
+        yield
+    finally:
+        for axis in kept:
+            del axis._update_ticks
+
+
+def _kept(axis: Any) -> Callable[[], list[Tick]]:
+    """The ticks of an axis, made when they are asked for first, and where it changed."""
+    make, at, made = axis._update_ticks, (), list[Tick]()
+
+    def ticks() -> list[Tick]:
+        nonlocal at, made
+        now = (*axis.get_view_interval(), axis.axes.bbox.width, axis.axes.bbox.height)
+        if now != at:
+            at, made = now, make()
+        return made
+
+    return ticks
+
+
 def settle(fig: Figure, times: int = 2) -> None:
     """Lay a figure out for good, then put labels of y axes in line; with equal aspect, each layout moves everything."""
-    refit(fig)
-    if (engine := fig.get_layout_engine()) is not None:
-        for _ in range(times):
-            engine.execute(fig)  # the layout alone: the picture is drawn when it is saved
+    if not isinstance(fig.canvas, FigureCanvasAgg):
+        FigureCanvasAgg(fig)  # becomes the figure's; its renderer keeps the sizes of texts, until they are drawn
+    with _ticks_kept(fig):
+        refit(fig)
+        if (engine := fig.get_layout_engine()) is not None:
+            for _ in range(times):
+                engine.execute(fig)  # the layout alone: the picture is drawn when it is saved
     fig.set_layout_engine("none")
     fig.align_ylabels()
 
@@ -339,7 +373,7 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = N
     formats = current().formats if formats is None else formats
     folder.mkdir(parents=True, exist_ok=True)
     written = []
-    with drawing():
+    with drawing(), _ticks_kept(fig):
         if not current().titles:  # those that tell its panels apart stay
             fig.suptitle("")
             for place in ("left", "center", "right") if len(fig.axes) == 1 else ():
@@ -353,7 +387,8 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = N
         for suffix in formats:
             path = folder / f"{stem}.{suffix}"
             if suffix == "png":  # as `savefig`, with the same pixels, but drawn once
-                canvas = FigureCanvasAgg(fig)
+                canvas = fig.canvas
+                assert isinstance(canvas, FigureCanvasAgg)  # since it was laid out
                 canvas.draw()  # type: ignore[no-untyped-call]
                 pixels = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")  # type: ignore[no-untyped-call]
                 pixels.save(path, dpi=(PNG_DPI, PNG_DPI), compress_level=COMPRESS_LEVEL)

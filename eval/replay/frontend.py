@@ -295,24 +295,29 @@ class FrontEnd:
         )  # fmt: skip
         if self.known is not None and self.slam:
             self.known.initialized(frame, done.created)
-        numbers = np.where(done.used, pairing.decisions, done.created)  # of the landmarks that the frame observed
-        seen = np.flatnonzero(numbers >= 0)
-        if frame.appearance is not None:
-            self.looks.see(numbers, frame.appearance)
         if self.slam and self.sensor.sees:
             self._kind |= dict.fromkeys(done.created[done.created >= 0].tolist(), self.sensor.sees)
-        if self.faces is not None:
-            self.faces.see(self.estimator.estimate().mean, numbers[seen], frame.observations.z[seen])
-        if self.map_management is not None:
-            self.map_management.see(numbers[seen])
-        if self.parking is not None:
-            self.parking.see(FrameObservations(frame.observations.z[seen], frame.observations.R[seen]), numbers[seen])
+        followers = frame.appearance, self.faces, self.map_management, self.parking
+        if any(f is not None for f in followers):
+            self._see(frame, np.where(done.used, pairing.decisions, done.created))
         if self.own is not None:
             done = self.own.after(done)
         elif formed is not None:
             done = done._replace(nis=formed[0], dof=formed[1], log_likelihood=formed[2])
         moments = self._moments(pairing.S, done.dof)
         return done if moments is None else done._replace(moments=moments)
+
+    def _see(self, frame: Frame, numbers: IntArray) -> None:
+        """Tell all that follow landmarks which ones the frame observed, by observation (m,), negative for none."""
+        seen = np.flatnonzero(numbers >= 0)
+        if frame.appearance is not None:
+            self.looks.see(numbers, frame.appearance)
+        if self.faces is not None:
+            self.faces.see(self.estimator.estimate().mean, numbers[seen], frame.observations.z[seen])
+        if self.map_management is not None:
+            self.map_management.see(numbers[seen])
+        if self.parking is not None:
+            self.parking.see(FrameObservations(frame.observations.z[seen], frame.observations.R[seen]), numbers[seen])
 
     def _moments(self, S: Array | None, dof: int) -> tuple[float, float] | None:
         """Expected mean and variance of a frame's NIS; None where innovations are chi-square, or it is not known."""

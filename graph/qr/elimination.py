@@ -22,8 +22,6 @@ from typing import NamedTuple
 
 import gtsam
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import depth_first_order
 
 from data.compiled import njit
 from data.inputs import IntArray
@@ -59,12 +57,8 @@ def structure(variable: IntArray, dim: IntArray, order: IntArray) -> Structure:
     placed = np.where(variable >= 0, position[variable], -1)
     ends = np.sort(np.where(placed >= 0, placed, placed.max(axis=1, keepdims=True)), axis=1)
     parent, separators = _separators(ends, len(order))
-    # Positions with children before their parents, subtree by subtree.
-    n = len(parent)
-    tree = csr_array((np.ones(n), (np.where(parent >= 0, parent, n), np.arange(n))), (n + 1, n + 1))
-    post = depth_first_order(tree, n, return_predecessors=False)[:0:-1].astype(np.int64)  # post[new] = old
-    new = np.empty_like(post)
-    new[post] = np.arange(len(post))
+    new = _postorder(parent)
+    post = np.argsort(new)  # post[new] = old
     size = dim[order[post]]
     column = np.append(0, np.cumsum(size))
     count = np.array([len(separators[v]) for v in post.tolist()], np.int64)
@@ -94,6 +88,22 @@ def _separators(ends: IntArray, size: int) -> tuple[IntArray, list[set[int]]]:
             parent[v] = least = min(own)
             separators[least] |= own
     return parent, separators
+
+
+def _postorder(parent: IntArray) -> IntArray:
+    """Place (V,) of each position among all with children before their parents, subtree by subtree. A parent (V,) comes
+    after its children, -1 for a root.
+    """
+    n, above = len(parent), parent.tolist()
+    size, new = [1] * (n + 1), [0] * (n + 1)  # of subtrees, and places; -1, the last one, is above the roots
+    for v, p in enumerate(above):
+        size[p] += size[v]
+    first = new.copy()  # free place of each subtree
+    for v in range(n - 1, -1, -1):
+        p = above[v]
+        first[v], first[p] = first[p], first[p] + size[v]
+        new[v] = first[v] + size[v] - 1
+    return np.array(new[:n], np.int64)
 
 
 SLACK = 1.25  # A front with more than this many times the rows that its columns can need is made triangular first

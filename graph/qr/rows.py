@@ -213,8 +213,8 @@ class Linearizer:
         own = 0.5 * sum(float(np.sum(part**2)) for part in parts) + float(self._prior.error(first))
         return float(self._graph.error(values)) + own
 
-    def moved(self, values: gtsam.Values, delta: Array, constants: Array) -> gtsam.Values:
-        """Values after a step delta (V, 3) in tangent coordinates, and `constants` (q,) in units of their sigmas."""
+    def step(self, delta: Array, constants: Array) -> gtsam.VectorValues:
+        """A step delta (V, 3) in tangent coordinates, and `constants` (q,) in units of their sigmas, as gtsam's."""
         vector, n, m = gtsam.VectorValues(), self.frames, len(self.numbers)
         for k, row in enumerate(delta[:n]):
             vector.insert(X(k), row)
@@ -224,9 +224,13 @@ class Linearizer:
             vector.insert(drift_key(j), drift)
         if len(constants):
             vector.insert(CONSTANTS, constants)
-        moved, frame = values.retract(vector), self._motion.frame
+        return vector
+
+    def moved(self, values: gtsam.Values, step: gtsam.VectorValues) -> gtsam.Values:
+        """Values after a step."""
+        moved, frame = values.retract(step), self._motion.frame
         errors = self._motion.errors(moved)
-        first = pose_array(self._robot(values).retract(delta[0]))
+        first = pose_array(self._robot(values).retract(step.at(X(0))))
         moved.update(X(0), pose2(frame.poses_in(first[None], errors[:1])[0]))
         if self._world is not None:
             for s, at in zip(self._problem.observations, frame.points_in(self._world, errors[-1])[0], strict=True):

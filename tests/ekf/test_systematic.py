@@ -103,10 +103,6 @@ def measured(step, of, errors):
     return u
 
 
-def garden(seed):
-    return np.random.default_rng(seed).uniform(-25.0, 25.0, (60, 2))
-
-
 def drawn(of, seed):
     """Errors as the priors have them; the drift none (it is tested by itself)."""
     errors = np.random.default_rng([seed, 7]).normal(size=len(of.names)) * of.sigma
@@ -134,7 +130,7 @@ def of_runs(task, seeds, frames, of=CONSTANT):
     """Mean NEES of the pose at the end, that of the errors, and the latter of a plain filter."""
     pose, errors, plain = [], [], []
     for seed in seeds:
-        xy, b = garden(seed), drawn(of, seed)
+        xy, b = np.random.default_rng(seed).uniform(-25.0, 25.0, (60, 2)), drawn(of, seed)
         f, number = filters(xy, of)[task]
         pose.append(drive(f, xy, seed, of, b, frames, number)[0][-1])
         mean, P = f.errors

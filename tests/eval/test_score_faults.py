@@ -431,14 +431,10 @@ def posed(rows):
     return commas(rows, "t,x,y,theta")
 
 
-def turned_about(rows):
-    return np.column_stack([rows[:, 0], compose(AWAY, rows[:, 1:])])
-
-
 OTHERWISE = {
     "an offset of 0.3 s": (WAY + [0.3, 0, 0, 0], "--time-offset estimate=-0.3"),
     "an offset of -2 s": (WAY - [2.0, 0, 0, 0], "--time-offset estimate=2"),
-    "another frame": (turned_about(WAY), "--align se2"),
+    "another frame": (np.column_stack([WAY[:, 0], compose(AWAY, WAY[:, 1:])]), "--align se2"),
     "headings clockwise": (WAY * [1, 1, 1, -1], "Negate them"),
     "a compass": (WAY * [1, 1, 1, -1] + [0, 0, 0, 0.5 * math.pi], "90 deg minus them"),
     "another axis": (WAY + [0, 0, 0, 0.5 * math.pi], "turned by -90 deg"),

@@ -24,7 +24,7 @@ AXES: dict[str, tuple[str, ...]] = {
     "Projection": ("u", "v"),
 }  # fmt: skip
 """Names of the residuals, by a part of the name of the factor's class; gtsam puts a Pose3's rotation first."""
-MIXED, UNSTATED = ("Pose2", "Pose3", "BearingRange"), ", no noise stated"
+MIXED, UNSTATED = ("Pose2", "Pose3", "BearingRange", "DeltaFactor"), ", no noise stated"
 POINTS = {"Pose2": (0, 1), "Pose3": (3, 4, 5)}  # components of a pose's tangent that are a position in m
 
 Grouping = Callable[[int, gtsam.NonlinearFactor], str] | Sequence[str] | None
@@ -100,7 +100,9 @@ def _roles(factors: dict[int, gtsam.NonlinearFactor]) -> dict[int, str]:
 
 
 def origin_of(factor: gtsam.NonlinearFactor) -> Origin:
-    """Of a factor's noise: a sigma of 1 for angles and lengths alike, or of unknown residuals, is assumed."""
+    """Of a factor's noise: a sigma of 1 for angles and lengths alike, of a file's points, or of unknown residuals, is
+    assumed.
+    """
     unit = isinstance(plain_noise(factor)[0], gtsam.noiseModel.Unit)
     mixed = isinstance(factor, gtsam.CustomFactor) or any(n in type(factor).__name__ for n in MIXED)
     return Origin.ASSUMED if unit and mixed else Origin.STATED

@@ -1,7 +1,7 @@
 """Read a result in any format, recognized by content; a header that names columns decides first."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -444,13 +444,19 @@ FEW = 0.01  # Least extent of a path over its distance from the origin; others m
 
 
 def _nameless(text: Text, manner: Manner) -> Columns | None:
-    """The only reading of two to four columns of numbers without names that they allow: headings follow the motion,
-    stamps ascend evenly, places are not all alike.
+    """The columns of a text without names, where only one reading fits."""
+    stated = only_reading(text.fields)
+    return header_names(text, replace(manner, columns=stated)) if stated else None
+
+
+def only_reading(fields: Sequence[Sequence[str]]) -> dict[str, str]:
+    """Number of each role of the only path that two to four columns of numbers allow, or none: headings follow the
+    motion, stamps ascend evenly, places are not all alike.
     """
-    width = len(text.fields[0])
-    if width not in GUESSED or not all(len(f) == width and all(map(is_number, f)) for f in text.fields):
-        return None
-    rows, fine = np.array(text.fields, float), []
+    width = len(fields[0])
+    if width not in GUESSED or not all(len(f) == width and all(map(is_number, f)) for f in fields):
+        return {}
+    rows, fine = np.array(fields, float), []
     for roles in GUESSED[width]:
         column = dict(zip(roles, rows.T, strict=True))
         step, dt = np.diff([column["x"], column["y"]]), np.diff(column.get("t", rows[:, 0]))
@@ -461,10 +467,7 @@ def _nameless(text: Text, manner: Manner) -> Columns | None:
         near = np.ptp(place, axis=1).max() > FEW * place.max()
         if near and ("yaw" not in roles or max(off) > ALONG * way.sum()) and ("t" not in roles or even):
             fine.append(roles)
-    if len(fine) != 1:
-        return None
-    stated = {role: str(k + 1) for k, role in enumerate(fine[0])}
-    return header_names(text, replace(manner, columns=stated))
+    return {role: str(k + 1) for k, role in enumerate(fine[0])} if len(fine) == 1 else {}
 
 
 def holds_both(name: str) -> bool:

@@ -20,6 +20,7 @@ from data.columns.appearance import Noise
 from data.csv_table import is_name
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.recordings.laser import TravelNoise
+from data.formats.results.reading import only_reading
 from data.formats.tables import files as table_files
 from data.formats.tables.files import (
     IDS,
@@ -344,6 +345,12 @@ def settle(given: Given) -> Wanted:
                 told = "filled from the left, so they are no labels (--columns label=NAME* names some)"
                 columns.notes.append(f"inferred: columns {', '.join(stars.values())} are {told}")
             columns.given = {k: n for k, n in columns.given.items() if n not in stars.values()}
+    if not texts["odometry"].named and not any(k.rpartition(".")[0] in ("", "odometry") for k in columns.given):
+        read_as = {q.replace("yaw", "theta"): n for q, n in only_reading(texts["odometry"].rows).items()}
+        if "theta" in read_as:
+            columns.given = {**columns.given, **{f"odometry.{q}": n for q, n in read_as.items()}}
+            told = ",".join(f"odometry.{q}={n}" for q, n in read_as.items())
+            columns.notes.append(f"inferred: --columns {told}, as which alone headings follow the motion")
     kind = _kind(given, texts["odometry"], columns, "odometry", tuple(KINDS))
     for flag in ("hold", "integrate"):
         if flag in given and kind not in STAMPED_KINDS:

@@ -85,11 +85,6 @@ FILE = re.compile(rf"(?:{'|'.join(OURS)})/[\w./-]*")
 DOTTED = re.compile(rf"(?:{'|'.join(PACKAGES)})(?:\.(?!csv\b)\w+)+")
 
 
-def quoted(page: Path) -> list[str]:
-    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
-    return [word.partition("(")[0] for word in QUOTED.findall(text)]
-
-
 def is_there(name: str) -> bool:
     """Whether a dotted name is a module, or an attribute of one."""
     parts = name.split(".")
@@ -104,7 +99,8 @@ def is_there(name: str) -> bool:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_files_and_names_in_backticks_exist(page):
-    words = quoted(page)
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    words = [word.partition("(")[0] for word in QUOTED.findall(text)]
     missing = [w for w in words if FILE.fullmatch(w) and not (ROOT / w).exists()]
     assert missing + [w for w in words if DOTTED.fullmatch(w) and not is_there(w)] == []
 

@@ -76,7 +76,7 @@ def is_line(line) -> bool:
 
 
 @pytest.mark.parametrize("kind", FIGURES)
-def test_a_line_in_the_legend_is_about_as_thick_as_the_one_it_stands_for(kind):
+def test_lines_and_markers_in_the_legend_are_about_as_large_as_those_they_stand_for(kind):
     fig = drawn_once(kind)
     drawn = drawn_in(fig)
     for shown in legend_of(fig):
@@ -84,13 +84,6 @@ def test_a_line_in_the_legend_is_about_as_thick_as_the_one_it_stands_for(kind):
         twins = [d for d in twins if d.get_linestyle() == shown.get_linestyle()]
         if is_line(shown) and twins:
             assert min(abs(np.log(d.get_linewidth() / shown.get_linewidth())) for d in twins) < np.log(1.45), shown
-
-
-@pytest.mark.parametrize("kind", FIGURES)
-def test_a_marker_in_the_legend_is_about_as_large_as_those_it_stands_for(kind):
-    fig = drawn_once(kind)
-    drawn = drawn_in(fig)
-    for shown in legend_of(fig):
         twins = [d for d in drawn if d.get_marker() == shown.get_marker()]
         if shown.get_marker() not in ("", "None", None) and twins:
             assert min(abs(np.log(d.get_markersize() / shown.get_markersize())) for d in twins) < np.log(1.6), shown

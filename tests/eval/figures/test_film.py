@@ -31,11 +31,6 @@ def frames_of(path) -> list[np.ndarray]:
         frames.append(image)
 
 
-def of_the_estimate(image) -> np.ndarray:
-    colour = 255.0 * np.array(to_rgb(style_of("ekf").colour)[::-1])
-    return np.abs(image[HEADER:] - colour).sum(axis=2) < 60
-
-
 def test_the_same_film_twice_has_the_same_bytes_and_is_a_webm_that_says_nothing(tmp_path, capfd):
     for name in ("a", "b"):
         run = run_with_error(np.array([0.5, 0.0, 0.0]))
@@ -55,7 +50,8 @@ def test_the_same_film_twice_has_the_same_bytes_and_is_a_webm_that_says_nothing(
 @pytest.mark.slow
 def test_the_robot_is_where_its_estimate_is_and_nothing_is_there_before(tmp_path):
     animate(circle_log(), run_with_error(np.array([1.0, 0.0, 0.0])), tmp_path / "film.webm", speed=EVERY_FOURTH)
-    coloured = [of_the_estimate(f) for f in frames_of(tmp_path / "film.webm")]
+    colour = 255.0 * np.array(to_rgb(style_of("ekf").colour)[::-1])
+    coloured = [np.abs(f[HEADER:] - colour).sum(axis=2) < 60 for f in frames_of(tmp_path / "film.webm")]
     # the scene is at least 12 m wide; the robot, a metre right of the truth at (-4, 0), in the middle of the film
     half = FRAMES // 2 // 4
     height, width = coloured[0].shape

@@ -3,13 +3,16 @@
 import os
 import subprocess
 import sys
+from contextlib import nullcontext
 from itertools import combinations
 from pathlib import Path
 
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
+from eval.figures import style
 from eval.figures.style import OTHERS, STYLES, TRUTH_COLOUR, colour_of_method, series, style_of
 from eval.replay.external.spec import introduce, place
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS
@@ -52,6 +55,19 @@ def test_same_data_gives_same_bytes_in_another_process_too(drawn, tmp_path):
     environment = {**os.environ, "PYTHONHASHSEED": "7", "PYTHONPATH": str(root)}
     subprocess.run([sys.executable, "-c", code], check=True, cwd=root, env=environment, timeout=120)
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == drawn[0]
+
+
+def test_ticks_that_are_kept_are_those_that_matplotlib_would_make(tmp_path, monkeypatch):
+    def saved() -> bytes:
+        with style.drawing():
+            fig = Figure((2.0, 1.8))
+            fig.subplots().plot([0.0, 123.0])
+        style.finish(fig, "a title\nof many\nlines", [style.key("shrinks")])
+        return style.save(fig, tmp_path, "panel")[0].read_bytes()
+
+    ours = saved()
+    monkeypatch.setattr(style, "_ticks_kept", lambda fig: nullcontext())
+    assert saved() == ours
 
 
 def test_saved_figures_carry_no_date_and_leave_the_callers_settings_alone(drawn):

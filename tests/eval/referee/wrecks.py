@@ -23,51 +23,14 @@ def _readings(log: Log, z) -> Log:
     return _recorded(log, observations=Observations(o.frame, z, o.R))
 
 
-def map_rotated(log: Log) -> Log:
-    return _map(log, log.recorded.map.xy @ se2.rotation(0.5 * np.pi).T)
-
-
-def map_shifted(log: Log) -> Log:
-    return _map(log, log.recorded.map.xy + np.array([7.0, -4.0]))
-
-
-def map_in_feet(log: Log) -> Log:
-    return _map(log, log.recorded.map.xy / 0.3048)
-
-
-def map_with_x_and_y_exchanged(log: Log) -> Log:
-    return _map(log, log.recorded.map.xy[:, ::-1])
-
-
-def ranges_in_feet(log: Log) -> Log:
-    return _readings(log, log.recorded.observations.z * np.array([1.0 / 0.3048, 1.0]))
-
-
-def ranges_in_millimetres(log: Log) -> Log:
-    return _readings(log, log.recorded.observations.z * np.array([1000.0, 1.0]))
-
-
-def bearings_in_degrees(log: Log) -> Log:
-    return _readings(log, log.recorded.observations.z * np.array([1.0, 180.0 / np.pi]))
-
-
-def bearings_mirrored(log: Log) -> Log:
-    return _readings(log, log.recorded.observations.z * np.array([1.0, -1.0]))
+def _prior(log: Log, offset) -> Log:
+    p = log.recorded.prior
+    return _recorded(log, prior=Prior(p.mean + np.array(offset), p.covariance))
 
 
 def sensor_looking_back(log: Log) -> Log:
     z = log.recorded.observations.z
     return _readings(log, np.column_stack([z[:, 0], se2.wrap_angle(z[:, 1] + np.pi)]))
-
-
-def prior_facing_backwards(log: Log) -> Log:
-    p = log.recorded.prior
-    return _recorded(log, prior=Prior(p.mean + np.array([0.0, 0.0, np.pi]), p.covariance))
-
-
-def prior_elsewhere(log: Log) -> Log:
-    p = log.recorded.prior
-    return _recorded(log, prior=Prior(p.mean + np.array([6.0, 5.0, 0.0]), p.covariance))
 
 
 def odometry_in_millimetres(log: Log) -> Log:
@@ -91,9 +54,19 @@ def stated(log: Log, factor: float) -> Log:
     )
 
 
-LOCALIZATION = (
-    map_rotated, map_shifted, map_in_feet, map_with_x_and_y_exchanged, ranges_in_feet, ranges_in_millimetres,
-    bearings_in_degrees, bearings_mirrored, sensor_looking_back, prior_facing_backwards, prior_elsewhere,
-    odometry_in_millimetres, kidnapped,
-)  # fmt: skip
-SLAM = (kidnapped, bearings_mirrored, bearings_in_degrees, odometry_in_millimetres)
+LOCALIZATION = {
+    "map_rotated": lambda log: _map(log, log.recorded.map.xy @ se2.rotation(0.5 * np.pi).T),
+    "map_shifted": lambda log: _map(log, log.recorded.map.xy + np.array([7.0, -4.0])),
+    "map_in_feet": lambda log: _map(log, log.recorded.map.xy / 0.3048),
+    "map_with_x_and_y_exchanged": lambda log: _map(log, log.recorded.map.xy[:, ::-1]),
+    "ranges_in_feet": lambda log: _readings(log, log.recorded.observations.z * np.array([1.0 / 0.3048, 1.0])),
+    "ranges_in_millimetres": lambda log: _readings(log, log.recorded.observations.z * np.array([1000.0, 1.0])),
+    "bearings_in_degrees": lambda log: _readings(log, log.recorded.observations.z * np.array([1.0, 180.0 / np.pi])),
+    "bearings_mirrored": lambda log: _readings(log, log.recorded.observations.z * np.array([1.0, -1.0])),
+    "sensor_looking_back": sensor_looking_back,
+    "prior_facing_backwards": lambda log: _prior(log, [0.0, 0.0, np.pi]),
+    "prior_elsewhere": lambda log: _prior(log, [6.0, 5.0, 0.0]),
+    "odometry_in_millimetres": odometry_in_millimetres,
+    "kidnapped": kidnapped,
+}
+SLAM = ("kidnapped", "bearings_mirrored", "bearings_in_degrees", "odometry_in_millimetres")

@@ -46,10 +46,6 @@ from tests.eval.report.said_by_hand import MEASURED, TURN, blamed, said
 POLAR, POINTS = Terms(), Terms(polar=False)
 
 
-def with_apart(trust, **apart):
-    return replace(trust, real=replace(trust.real, apart=apart))
-
-
 def with_measured(trust, measured):
     return replace(trust, real=replace(trust.real, measured=measured))
 
@@ -62,7 +58,8 @@ def test_a_length_below_a_centimetre_is_said_in_millimetres(value, text):
 
 
 def test_only_what_was_measured_is_a_fact_filters_first():
-    trust = with_apart(said(), theirs=1.0, isam2=2.0, **{"ekf-iterated": 3.0}, ekf=4.0, batch=math.nan)
+    apart = {"theirs": 1.0, "isam2": 2.0, "ekf-iterated": 3.0, "ekf": 4.0, "batch": math.nan}
+    trust = replace(said(), real=replace(said().real, apart=apart))
     found = facts_of(trust, POLAR)["apart"]
     assert [(a["estimator"], a["filters"]) for a in found] == [
         ("ekf", True), ("ekf-iterated", True), ("isam2", False), ("theirs", False),

@@ -123,10 +123,6 @@ def erring(name, runs, estimator="ekf"):
     return [study_of(s, range(runs), [one_run(s, k) for k in range(runs)]) for s in (plain, calibrated)]
 
 
-def verdict_of(study, quantity="pose"):
-    return next(j.verdict for j in judge(study) if j.quantity == quantity)
-
-
 def test_wheels_that_err_spoil_a_plain_filter_and_not_one_that_knows_that_they_may():
     plain, calibrated = erring("erring-arena", 10)
     off, fine = ([s.means["pose"] for s in study.samples[KEY]] for study in (plain, calibrated))
@@ -156,7 +152,7 @@ def test_an_errors_square_is_in_units_of_its_own_variance_against_the_truth_at_t
 )
 def test_who_knows_that_its_odometry_may_err_is_consistent_and_who_does_not_is_rejected(name, estimator):
     plain, calibrated = erring(name, 50, estimator)
-    assert verdict_of(plain).word == "overconfident"
+    assert next(j.verdict for j in judge(plain) if j.quantity == "pose").word == "overconfident"
     judged = judge(calibrated)
     assert failed_declarations(judged) == []
     parameters = [j for j in judged if j.quantity.startswith("covers_")]

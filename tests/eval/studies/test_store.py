@@ -60,18 +60,13 @@ def test_what_numbers_depend_on_has_a_place_of_its_own_and_the_rest_has_not(smal
         assert digest(other) != digest(small)
 
 
-def a_process(folder, of):
-    """The mark that a process of this machine leaves in a folder of runs."""
-    (folder / f".used-{platform.node()}-{of}").touch()
-
-
 def test_runs_of_another_program_that_is_still_at_work_are_left_alone(tmp_path, monkeypatch, small):
     """Two checkouts whose results share a parent; what a dead process left goes, what another machine uses stays."""
     old = store.folder_of(tmp_path, small)
     (mark,) = old.glob(".used-*")
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as other:
         mark.unlink()
-        a_process(old, other.pid)
+        (old / f".used-{platform.node()}-{other.pid}").touch()  # the mark of a process of this machine
         monkeypatch.setattr(store, "code_digest", lambda: "0" * store.DIGITS)
         store.folder_of(tmp_path, small)
         assert old.is_dir()

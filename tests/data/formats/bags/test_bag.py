@@ -180,7 +180,9 @@ def test_the_list_says_what_each_topic_becomes_and_writes_nothing(maker, tmp_pat
 def test_detections_that_nothing_mounts_on_the_robot_are_left_out_and_said(maker, tmp_path):
     maker.poses(1.0, [(2.0, 0.5)])
     maker.markers(1.0, [(1, 2.0, 0.5)], frame="map")
-    log = load(maker, tmp_path, "--point-sigma", "0.1")
+    log = load(maker, tmp_path)
+    assert log.origins["observation_noise"] == "assumed"
+    assert "assumed: --point-sigma 0.1m" in log.notes
     assert any("/markers: 1 detection in 'map', which tf does not mount on 'base_link'" in note for note in log.notes)
     assert len(log.recorded.observations.frame) == 1
 
@@ -189,10 +191,8 @@ def test_detections_that_nothing_mounts_on_the_robot_are_left_out_and_said(maker
     ("add", "words", "said"),
     [
         (lambda m: None, (), "nothing beside the odometry: no topic of scans, detections or fixes"),
-        (lambda m: m.poses(1.0, [(2, 1)]), (), "/cones: unknown noise of its observations: points; --point-sigma M"),
         (lambda m: m.poses(1.0, [(2, 1)]), ("--odom", "/odo"), "no such topic in .*did you mean /odom"),
         (lambda m: m.odometry(1.0, (0, 0, 0), "/other"), (), "--odom TOPIC is needed; topics of odometry: /odom"),
-        (lambda m: m.satellites(1.0, (48.0, 11.0)), (), "/gps: unknown noise of its position fixes; --position-sigma"),
         (lambda m: m.satellites(1.0, (48.0, 11.0), 1.0), (), "the first heading in the frame of the fixes is unknown"),
         (lambda m: m.pose(1.0, (0, 0, 0)), (), "/amcl_pose: messages without a covariance; --truth /amcl_pose"),
         (lambda m: m.tags(1.0, [(1, 2.0)]), ("--bearing-sigma", "1"), "in 'optical', which tf does not mount"),

@@ -58,6 +58,13 @@ def test_speed_and_steering_of_a_car(converted):
     assert asked.origins["units"] is Origin.GIVEN
 
 
+def test_poses_without_names_are_read_as_headings_follow_the_motion(converted):
+    log, said = converted(text("", T, POSE * [1.0, 1.0, np.rad2deg(1.0)]).lstrip())
+    assert "inferred: --columns odometry.t=1,odometry.x=2,odometry.y=3,odometry.theta=4" in said
+    assert "inferred: --unit odometry.theta=deg" in said
+    np.testing.assert_allclose(log.recorded.increments.mean[1:30, 2], np.diff(POSE[::10, 2]), atol=1e-6)
+
+
 def test_steps_without_a_sideways_motion(converted):
     way = np.hypot(*np.diff(POSE[:, :2], axis=0, prepend=POSE[:1, :2]).T)
     log, said = converted(text("time,d,delta_theta", T, way, np.diff(THETA, prepend=0.0)))

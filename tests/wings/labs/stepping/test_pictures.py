@@ -139,13 +139,9 @@ def test_a_landmark_far_away_does_not_make_the_scene_small():
     assert np.ptp(fig.axes[0].get_xlim()) < 20.0
 
 
-def problem_sightings():
-    e = problem().expectation
-    return e.z, e.R
-
-
 def test_observations_are_numbered_and_none_is_no_mistake():
-    fig = painted(paint_observations, PLAIN, *problem_sightings(), "title")
+    e = problem().expectation
+    fig = painted(paint_observations, PLAIN, e.z, e.R, "title")
     assert [t.get_text() for t in fig.axes[0].texts] == ["0", "1", "2"]
     painted(paint_observations, PLAIN, np.empty((0, 2)), np.empty((0, 2, 2)), "nothing")
 

@@ -107,17 +107,13 @@ def test_looking_on_changes_no_number(tmp_path):
     log = open_log("corridor:0:people")
     for estimator in ("ekf", "isam2"):
         for association in ("known", "jcbb"):
-            short = step_inputs(log, association)
+            short = shortened(log, 10).inputs(labels=association == "known").without_map()
             walk = Walk(log, "slam", estimator, Unpainted(None, Blind()), pausing=False)
             seen = step_by_step(estimator, short, "slam", association, observer=walk, finish=False)
             alone = step_by_step(estimator, short, "slam", association, finish=False)
             assert np.array_equal(seen.online.pose, alone.online.pose)
             assert np.array_equal(seen.online.covariance, alone.online.covariance)
             assert np.array_equal(seen.decisions, alone.decisions)
-
-
-def step_inputs(log, association):
-    return shortened(log, 10).inputs(labels=association == "known").without_map()
 
 
 class Blind:

@@ -79,11 +79,6 @@ def test_columns_stand_below_each_other_and_no_line_is_too_long(m, first):
     assert shown["NEW"] == [str(n) for n in created if n >= 0]
 
 
-def counts_told(text: str) -> np.ndarray:
-    found = re.findall(r"^TP (\d+)   TN (\d+)   FP (\d+)   FN (\d+)$", text, re.MULTILINE)
-    return np.array(found, int).sum(axis=0)
-
-
 @pytest.mark.parametrize("phase", ["online", "final"])
 def test_the_steps_of_a_run_sum_to_the_counts_of_the_referee(phase):
     log = open_log("corridor:0:people")
@@ -91,7 +86,8 @@ def test_the_steps_of_a_run_sum_to_the_counts_of_the_referee(phase):
     run = step_by_step("ekf", log.recorded.without_map(), "slam", "nn", setup)
     text, c = run_text(log, run, phase), confusion_of(run, log, phase)
     assert min(c.tp, c.tn, c.fp, c.fn) > 0
-    assert counts_told(text).tolist() == [c.tp, c.tn, c.fp, c.fn]
+    told = re.findall(r"^TP (\d+)   TN (\d+)   FP (\d+)   FN (\d+)$", text, re.MULTILINE)
+    assert np.array(told, int).sum(axis=0).tolist() == [c.tp, c.tn, c.fp, c.fn]
     # in the end what was retracted has never been new
     lasting = run.created >= 0 if phase == "online" else (run.created >= 0) & (run.final_decisions != DISCARD)
     numbers = [number for line in text.split("\n") if line.startswith("NEW") for number in line.split()[1:]]

@@ -245,16 +245,12 @@ def test_online_nothing_is_known_of_what_comes_later(name):
 def test_a_loop_closure_counts_from_the_key_pose_at_which_it_is_believed(name):
     inputs, chain, loops, _ = LOG
     first = int(loops.believed[1:].min())
-    without = backend(name, inputs, chain, replace_believed(loops, -1)).run.online
+    without = backend(name, inputs, chain, replace(loops, believed=np.full(len(loops), -1))).run.online
     with_it = backend(name, inputs, chain, loops).run.online
     before = chain.key < first
     np.testing.assert_array_equal(with_it.pose[before], without.pose[before])
     at = chain.frame[first]
     assert np.trace(with_it.covariance[at]) < np.trace(without.covariance[at])
-
-
-def replace_believed(loops, value):
-    return replace(loops, believed=np.full(len(loops), value))
 
 
 def test_false_loop_closures_are_told_by_the_gate_and_by_gnc_and_their_weight_says_so():
