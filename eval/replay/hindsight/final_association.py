@@ -25,9 +25,8 @@ ANGLES = 16  # directions of a residual over which its tails are averaged
 
 
 class Reassociation(NamedTuple):
-    """Landmark (m,) of every observation, -1 for none; misfit (m,), infinite for none: its squared distance, and the
-    mean of those of its frame's other observations. Unpaired ones count as the gate, and so does having none; the
-    gate's is added inside another landmark's inner gate.
+    """Landmark (m,) of every observation, -1 for none; misfit (m,): squared distance from it, infinite for none, and
+    the gate's is added inside another landmark's inner gate.
     """
 
     number: IntArray
@@ -116,12 +115,8 @@ def reassociate(
         threshold = e.threshold(constants.REASSOCIATION_GATE)
         number[rows] = gnn(e, constants.REASSOCIATION_GATE)
         alone[rows] = (e.individual_distances() < inner * threshold).sum(axis=1) <= 1
-    paired, others = number >= 0, np.bincount(seen.frame, minlength=len(pose))[seen.frame] - 1
-    d2 = np.full(len(number), gate)
-    d2[paired] = distances(sensor, pose, known, seen, number)
-    rest = np.bincount(seen.frame, d2, minlength=len(pose))[seen.frame] - d2
-    company = np.where(others > 0, rest / np.maximum(others, 1), gate)
-    misfit = np.where(paired, d2 + company + np.where(alone, 0.0, gate), np.inf)
+    misfit = np.where(number >= 0, np.where(alone, 0.0, gate), np.inf)
+    misfit[number >= 0] += distances(sensor, pose, known, seen, number)
     return Reassociation(number, misfit)
 
 
@@ -158,7 +153,7 @@ def _nearest(
 
 def beginnings(found: Reassociation) -> dict[int, int]:
     """The observation that each landmark begins with, the surest one. It names the landmark, so an error there
-    would make all its right decisions wrong. A frame whose other observations fit tells that its pose is right.
+    would make all its right decisions wrong.
     """
     rows = np.lexsort((found.misfit, found.number))
     numbers, first = np.unique(found.number[rows], return_index=True)
