@@ -41,11 +41,6 @@ class Appearance(Locked):
         """Whether some have a descriptor."""
         return bool(np.isfinite(self.descriptor).any())
 
-    @property
-    def classifies(self) -> bool:
-        """Whether some have a class."""
-        return bool((self.category >= 0).any())
-
     def arrays(self) -> tuple[Array | IntArray, ...]:
         """All that it consists of, for digests."""
         return self.descriptor, self.sigma, self.category, self.error

@@ -82,17 +82,26 @@ class Parser(argparse.ArgumentParser):
         """End the process if words are left over."""
         if left:
             below = [a.choices for a in self._actions if isinstance(a, argparse._SubParsersAction)]
-            parsers = [self, *(p for choices in below for p in choices.values())]
-            flags = [flag for p in parsers for flag in p._option_string_actions if flag.startswith("--")]
+            parsers = {self.prog: self} | {f"{self.prog} {name}": p for names in below for name, p in names.items()}
+            flags = [flag for p in parsers.values() for flag in p._option_string_actions if flag.startswith("--")]
             word = next((w for w in left if w.startswith("-")), left[0])
             flag = f"--{word.partition('=')[0].lstrip('-')}"
             hint = did_you_mean(flag, flags) if word.startswith("-") else ""
+            if others := [
+                *OF_OTHERS.get(flag, ()),
+                *(n for n, p in parsers.items() if flag in p._option_string_actions),
+            ]:
+                self.error(f"{word}: a flag of {', '.join(others)}, not of this command")
             what = "unknown flag" if word.startswith("-") else "a word too many"
             self.error(f"{word}: {what}{hint}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
             raise argparse.ArgumentError(action, f"{value}: {unknown(str(value), map(str, action.choices))}")
+
+
+OF_OTHERS = dict.fromkeys(("--exclude-truth", "--keep-truth"), ("slamref run", "slamref score"))
+"""Flags that questions about a log name, and that belong to another command than the one that converts it."""
 
 
 class Command(Parser):

@@ -99,6 +99,7 @@ class Code(StrEnum):
     PATH_TILT = "path-tilt", WARNING
     PATH_CLOCK = "path-clock", WARNING
     PATH_LEAP = "path-leap", WARNING
+    PATH_OUTLIERS = "path-outliers", INFO
     PATH_FRAME = "path-frame", WARNING
     PATH_QUATERNIONS = "path-quaternions", WARNING
     # about a run of hindsight

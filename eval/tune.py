@@ -118,8 +118,10 @@ def _report(log: Log, tuning: Tuning) -> list[str]:
         body.append((title, f"{s.log_likelihood:.1f}", str(s.dof), f"{s.nis:.3f}", bounds, r))
     lines += [*in_columns(body), ""]
     for title, (position, heading, mean) in tuning.errors.items():
-        errors = f"position {position:.4g} m, heading {heading:.3g} deg"
-        lines.append(f"RMSE {title}: {errors}; pose NEES {mean:.3g} (expected 3)")
+        placed = math.isnan(heading)
+        errors = f"position {position:.4g} m" + f", heading {heading:.3g} deg" * (not placed)
+        of, expected = ("position", 2) if placed else ("pose", 3)
+        lines.append(f"RMSE {title}: {errors}; {of} NEES {mean:.3g} (expected {expected})")
     return [*lines, *(f"- {note}" for note in tuning.log.notes[len(log.notes) :])]
 
 

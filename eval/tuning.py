@@ -459,7 +459,7 @@ class Numbers(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Tuning:
     """A tuned log, with scores (or the reason for none) and errors by title: RMSE of position [m] and heading [deg],
-    mean pose NEES, without windows of bad ground truth.
+    mean pose NEES (of a truth of positions alone NaN, and that of the position), without windows of bad ground truth.
     """
 
     log: Log
@@ -523,7 +523,8 @@ def tune(
         if pose is not None:
             pose = np.where(unscored(judged, replayed.time)[:, None], np.nan, pose)
             run = run_filter(replayed, decisions)
-            mean = mean_or_nan(nees(run.pose, run.covariance, pose, "pose"))
+            of = "pose" if np.isfinite(pose[:, 2]).any() else "position"
+            mean = mean_or_nan(nees(run.pose, run.covariance, pose, of))
             errors[title] = rms(position_distance(run.pose, pose)), heading_rmse_deg(run.pose, pose), mean
     scores = _scores(model, decisions, found, tuned)
     doubt, notes = _doubt(model, found, scores[TUNED]), [*log.notes, note]

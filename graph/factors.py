@@ -124,7 +124,7 @@ class ObservationFactors:
 
 def pose2(pose: Array) -> gtsam.Pose2:
     """A pose (3,) as gtsam's."""
-    return gtsam.Pose2(float(pose[0]), float(pose[1]), float(pose[2]))
+    return gtsam.Pose2(*pose.tolist())
 
 
 def pose_array(pose: gtsam.Pose2) -> Array:

@@ -185,6 +185,8 @@ class Observed:
 
     def join(self, number: IntArray, values: gtsam.Values) -> list[LandmarkPrior]:
         """Priors of an uncertain map's landmarks (m,) that are no variables yet; their start values go to `values`."""
+        if not is_uncertain(self.map):
+            return []
         new = np.array([n for n in dict.fromkeys(number.tolist()) if n not in self._joined], np.int64)
         priors = landmark_priors(self.map, new)
         self._joined.update(p.number for p in priors)

@@ -189,6 +189,24 @@ def _away(*offset: float) -> Change:
     return change
 
 
+def _from(start: float, change: Change) -> Change:
+    """A change of what is stamped later alone."""
+
+    def later(t: Tables) -> Tables:
+        rows = {p: getattr(t, p)[:, 0] >= start for p in ("odometry", "seen", "truth")}
+        other = change(replace(t, **{p: getattr(t, p)[k] for p, k in rows.items()}))
+        both = {p: np.vstack([getattr(t, p)[~k], getattr(other, p)]) for p, k in rows.items()}
+        return replace(t, **both)
+
+    return later
+
+
+def _distances(t: Tables) -> Tables:
+    return replace(
+        t, odometry=np.column_stack([*t.odometry.T[:1], np.cumsum(t.odometry[:, 1]) / RATE, t.odometry[:, 2]])
+    )
+
+
 MM = _both(_times("odometry", 1, 1000, 1), _times("seen", 1, 1000, 1, 1), _times("known", 1, 1000, 1000),
            _times("truth", 1, 1000, 1000, 1))  # fmt: skip
 CM = _both(_times("odometry", 1, 100, 1), _times("seen", 1, 100, 1, 1), _times("known", 1, 100, 100),
@@ -203,6 +221,9 @@ MISTAKES: dict[str, Change] = {
     "observations 100 s late": _late("seen", 100.0), "sensor 1.2 m ahead": _ahead("seen", -1.2),
     "truth of an antenna": _ahead("truth", 0.8), "map x to the other side": _times("known", 1, -1, 1),
     "bearing and turn clockwise": _both(_times("odometry", 1, 1, -1), _times("seen", 1, 1, -1, 1)),
+    "v and omega of a row": _times("odometry", 1, 1 / RATE, 1 / RATE), "v a distance": _distances,
+    "from 60 s on 20 s late": _from(60.0, _late("seen", 20.0)),
+    "from 60 s on to the other side": _from(60.0, _times("odometry", 1, 1, -1)),
     "v backward": _times("odometry", 1, -1, 1), "v in km/h": _times("odometry", 1, 3.6, 1),
     "omega in deg/s": _times("odometry", 1, 1, 1 / DEG), "map in mm": _times("known", 1, 1000, 1000),
     "truth in mm": _times("truth", 1, 1000, 1000, 1), "map y to the other side": _times("known", 1, 1, -1),

@@ -108,7 +108,7 @@ def columns_of(looks: Appearance, *, known: bool = False) -> dict[str, list[Any]
     there, read = np.isfinite(looks.descriptor), looks.category >= 0
     if looks.measures:
         columns |= {DESCRIPTOR: or_blank(looks.descriptor, there), SIGMA: or_blank(looks.sigma, there)}
-    if looks.classifies:
+    if read.any():
         columns[CLASS] = [looks.names[c] if c >= 0 else "" for c in looks.category.tolist()]
         columns[ERROR] = or_blank(looks.error, read)
     return {name: values for name, values in columns.items() if not (known and name in KEYS)}

@@ -71,7 +71,9 @@ def stamps(log: Log) -> list[Notice]:
         crawls = (np.quantile(rate, 0.9, axis=0) < CRAWL).all() and np.abs(inputs.increments.mean[:, :2]).sum() > 1.0
         # increments across gaps of the odometry: no motion, and an isotropic covariance
         mean, P = inputs.increments.mean[1:], inputs.increments.covariance[1:]
-        blind = float((~mean.any(axis=1) & (P[:, 0, 0] == P[:, 1, 1]) & (P[:, 0, 0] > 1e-6)).mean())
+        still = ~mean.any(axis=1) & (P[:, 0, 0] == P[:, 1, 1]) & (P[:, 0, 0] > 1e-6)
+        seen = np.isin(np.arange(1, len(inputs)), inputs.observations.frame)  # not those within a single gap
+        blind = float((still[seen] if seen.any() else still).mean())
         if blind <= 0.5 and not crawls:
             return []
         unit = "ms"

@@ -107,10 +107,18 @@ def _rates(factor: float) -> Callable[[Case], Case]:
     return lambda c: replace(c, u=se2.along_arcs(*(factor * np.array(_arcs(c)))))
 
 
-def _since(c: Case) -> Case:
-    """Turn rates that are headings."""
-    heading = c.u[1:, 2] / np.maximum(np.diff(c.time), TINY)
-    return replace(c, u=se2.along_arcs(_arcs(c)[0], np.append(0.0, wrap_angle(np.diff(heading, append=heading[-1:])))))
+def _since(*summed: int) -> Callable[[Case], Case]:
+    """Speeds (0) that are distances since the start, turn rates (1) that are headings."""
+
+    def change(c: Case) -> Case:
+        motion = list(_arcs(c))
+        for k in summed if c.kind == "velocities" else ():
+            total = motion[k][1:] / np.maximum(np.diff(c.time), TINY)
+            step = np.append(0.0, np.diff(total, append=total[-1:]))
+            motion[k] = np.asarray(wrap_angle(step)) if k else step
+        return replace(c, u=se2.along_arcs(*motion))
+
+    return change
 
 
 def _seen(*factors: float) -> Callable[[Case], Case]:
@@ -230,7 +238,9 @@ READINGS: tuple[Reading, ...] = (
     Reading(SIDE, "v", lambda c: c if c.kind == "poses" else _faster(-1.0)(c)),
     *(Reading(UNIT, "omega", _turning(k), unit) for unit, k in TURNING.items()),
     Reading(SIDE, "omega", _turning(-1.0)),
-    Reading(SUMMED, "omega", _since),
+    Reading(SUMMED, "omega", _since(1)),
+    Reading(SUMMED, "v", _since(0)),
+    Reading(SUMMED, "v and omega", _since(0, 1)),
     Reading(UNIT, "v and omega", lambda c: _rates(60.0)(c) if c.kind == "velocities" else c, "min"),
     Reading(EXCHANGED, "v and omega", lambda c: replace(c, u=se2.along_arcs(*_arcs(c)[::-1]))),
     *(Reading(UNIT, "range", _seen(k, 1.0), unit) for unit, k in METRES.items() if unit != "km"),
@@ -278,6 +288,8 @@ class Explained:
     fits: float
     left: bool  # whether parts still contradict each other
     poor: float = POOR  # largest difference that it may leave
+    only: tuple[float, float] | None = None  # s, the part of the log in which it is so; None: in all
+    noise: float = 0.0  # of the witness as read otherwise, by what is stated
 
 
 def _told(
@@ -327,7 +339,7 @@ class Examination:
                     witness, best = name, (f.off, g.off, more, g.noise)
         poor = max(NEAREST, LEFT * best[3]) if alone and witness.startswith(OBSERVATIONS) else POOR
         poor *= worst <= max(POOR, 4.0 * best[0])  # a small contradiction beside a large one
-        return Explained((*self.before, r), gain, sharp, witness, best[0], best[1], left, poor)
+        return Explained((*self.before, r), gain, sharp, witness, best[0], best[1], left, poor, None, best[3])
 
     def searched(self, kind: str, of: str, change: Callable[[float], Callable[[Case], Case]], grid: Array) -> Explained:
         """The best of a reading's numbers, between those of a grid."""
@@ -382,8 +394,28 @@ class Examination:
                 far = min(0.95 * float(c.time[-1] - c.time[0]), FARTHEST)
                 told = accepted(near) and not near.left and abs(near.readings[-1].number) < CLOCKS[-1]
                 wide = np.arange(-far, far, 2.0 * (CLOCKS[1] - CLOCKS[0]))
-                told = told or bool(self.before) or far <= CLOCKS[-1] or (c.id is None and len(c.z) > 0)  # much fits
+                told = told or bool(self.before) or far <= CLOCKS[-1] or (len(c.z) > 0 and by_nearest(c, self.samples))
                 yield near if told else self.searched(CLOCK, part, of, wide)
+
+    def far_clock(self, part: str) -> Explained | None:
+        """The offset that stands out of all others without ids, by which much fits; of laps the least."""
+        c, step = self.case, 0.5 * float(CLOCKS[1] - CLOCKS[0])
+        far = min(0.95 * float(c.time[-1] - c.time[0]), FARTHEST)
+        if not len(c.z) or not by_nearest(c, self.samples) or far <= CLOCKS[-1] or not self._told(part):
+            return None
+        wide, of = np.arange(-far, far, 4.0 * step), partial(_late, part)
+        each = [self.judged(Reading(CLOCK, part, of(x), "", x)) for x in wide.tolist()]
+        sharp = np.array([e.sharp for e in each])
+        peaks = np.flatnonzero((sharp[1:-1] >= sharp[:-2]) & (sharp[1:-1] >= sharp[2:])) + 1
+        peaks = peaks[np.argsort(-sharp[peaks])][:PEAKS]
+        found = [self.searched(CLOCK, part, of, wide[k] + step * np.arange(-2.0, 2.5)) for k in peaks.tolist()]
+        most = max((e.sharp for e in found), default=0.0)
+        alike = [e for e in found if e.sharp > most - ALIKE]
+        rest = [e.sharp for e in found if e.sharp <= most - ALIKE]
+        if not alike or max(rest, default=0.0) > most - CLEAR:
+            return None
+        least = min(alike, key=lambda e: abs(e.readings[-1].number))
+        return replace(least, poor=2.0 * least.poor)
 
     def numbered(self) -> Iterator[Explained]:
         """The best number of each other reading."""
@@ -418,6 +450,8 @@ CLOCKS, FARTHEST, TURNS = np.linspace(-6.0, 6.0, 31), 150.0, np.linspace(-165.0,
 goes on around the best."""
 ROUND = {CLOCK: (1.0, 0.5, 0.1, 0.05, 0.01, 0.001), TURNED: (90.0, 45.0, 10.0, 5.0, 1.0), SCALE: (0.01,)}
 """Units to which the best offset [s], turn [deg] or logarithm is rounded: the next rounder is exp(0.5) as probable."""
+PEAKS, ALIKE = 12, 7.0
+"""Best offsets that are compared; log-likelihoods by which those of laps differ, a sigma of `WEIGHT` differences."""
 REFINED = 6  # Steps of the search; each is 0.4 times as wide as the one before
 
 
@@ -441,6 +475,7 @@ def _matters(e: Explained) -> bool:
 
 
 LARGER = 0.2  # Least logarithm of a scale that is named: wheels are wrong by less, and `--calibrate` finds that
+WILD = math.log(10.0)  # One of two readings that is a larger scale takes its part away, so that little is left to fit
 SHARPER = 0.5  # That of turns: a constant rate of 0.1 rad/s in a log of one circle is a scale of 1.26 as well
 LEAST = {CLOCK: 0.03, TURNED: 10.0, SCALE: LARGER, PLACED: 0.1}  # Least s, deg, logarithms of scales and m
 SIZE, NAMES, ROWS = "size", "names", "rows"
@@ -463,6 +498,10 @@ def _by_size(x: Examination) -> list[Explained]:
         moved = np.hypot(c.u[1:, 0], c.u[1:, 1]) / np.diff(c.time)
         moved = moved[moved > 0.0]
         speed = float(np.median(moved)) if len(moved) >= FEWEST else 0.0
+        pull = _sideways(c) if speed > BRISK else 0.0
+        quick = c.kind != "velocities" and np.median(np.diff(c.time)) < FAST  # which are the same over any stamps
+        slower = quick and SLOW <= speed / 60.0 <= BRISK and GRAVITY < pull < 3600.0 * GRAVITY
+        minutes = _told(UNIT, "everything", SIZE, speed, speed / 60.0, "min", 1.0) if slower else []
         tiny = 0.0 < speed < CREEP and float(c.z[:, 0].max(initial=0.0)) < CLOSE_BY
         over = _over_noise(c, x.samples) if speed > BRISK or tiny else 1.0
         if tiny:
@@ -475,13 +514,44 @@ def _by_size(x: Examination) -> list[Explained]:
             told = [_told(UNIT, "everything", SIZE, speed, METRES[u] * speed, u, over)[0] for u in units]
             noise = [1.0 if over == 1.0 else over * METRES[u] for u in units]  # over the stated one
             fine = [SLOW <= e.fits <= BRISK and 0.1 < n < 2.0 for e, n in zip(told, noise, strict=True)]
-            return told[:1] + [e for e, likely in zip(told[1:], fine[1:], strict=True) if likely]
+            minutes *= over <= LEFT  # errors as large as stated are those of metres
+            return told[:1] + [e for e, likely in zip(told[1:], fine[1:], strict=True) if likely] + minutes
+        if pull > GRAVITY:
+            lengths = [(u, METRES[u]) for u in ("cm", "mm", "in")] if over == 1.0 or over > LEFT else []
+            lengths = [(u, k) for u, k in lengths if SLOW <= k * speed <= BRISK and k * pull < GRAVITY]
+            return [_told(UNIT, "everything", SIZE, speed, k * speed, u, 1.0)[0] for u, k in lengths] + minutes
         true = np.zeros(1) if c.truth is None else np.nan_to_num(np.diff(c.truth[:, 2]))
         for of, turn in (("omega", c.u[1:, 2]), ("truth.theta", true)):
             if len(turn) == len(c.time) - 1 and (rate := fastest(c.time, turn)):
                 return _told(UNIT, of, SIZE, rate, DEG * rate, "deg/s" if of == "omega" else "deg", 1.0)
     largest = float(np.abs(c.z[:, 1]).max(initial=0.0))
     return _told(UNIT, "bearing", SIZE, largest, DEG * largest, "deg", 1.0) if largest > TURN * (1.0 + 1e-6) else []
+
+
+def _minutes(c: Case) -> list[Explained]:
+    """Velocities over stamps in minutes, whose rows follow each other too fast: what is seen changes 60 times as much
+    as they predict. It is compared over seconds of such a clock.
+    """
+    if not c.stamped or c.kind != "velocities" or len(c.z) < FEWEST or np.median(np.diff(c.time)) > FAST:
+        return []
+    slower = replace(c, time=60.0 * c.time, at=60.0 * c.at, truth_time=60.0 * c.truth_time)
+    e = Examination(slower, witnesses.samples(slower)).judged(BY_MINUTES)
+    return [e] * accepted(e)
+
+
+FAST = 0.1  # s, longest median frame interval that may be one of 6 s
+BY_MINUTES = next(r for r in READINGS if r.of == "v and omega" and r.unit == "min")
+
+
+def _sideways(c: Case) -> float:
+    """The acceleration [m/s²] to the side above which a tenth of the way is driven, of ten frames each."""
+    at = np.arange(0, len(c.time) - 1, 10)
+    a, b = c.odometry[at[:-1]], c.odometry[at[1:]]
+    rate = np.hypot(*(b - a)[:, :2].T) * np.abs(b - a)[:, 2] / np.maximum(np.diff(c.time[at]), TINY) ** 2
+    return float(np.quantile(rate[rate > 0.0], 0.9)) if (rate > 0.0).sum() >= FEWEST else 0.0
+
+
+GRAVITY = 9.81  # m/s²: wheels slip sideways at less, whatever they drive on
 
 
 def _over_noise(c: Case, s: Samples) -> float:
@@ -578,10 +648,20 @@ def _doubled(x: Examination) -> list[Explained]:
     c = x.case
     rows = np.column_stack([c.frame, c.z, c.id if c.id is not None else 0 * c.frame])
     share = 1.0 - len(np.unique(rows, axis=0)) / len(rows) if len(rows) else 0.0
-    return _told(DOUBLED, OBSERVATIONS, ROWS, share) if share > TWICE else []
+    if share > TWICE:
+        return _told(DOUBLED, OBSERVATIONS, ROWS, share)
+    rows, order = rows[:, 1:], np.lexsort((c.at, *rows[:, 1:].T))
+    same = np.flatnonzero((rows[order[1:]] == rows[order[:-1]]).all(axis=1))
+    later = np.round(c.at[order[same + 1]] - c.at[order[same]], 3)
+    lag, times = np.unique(later[later > LAPSE], return_counts=True)
+    if not len(lag) or (share := float(times.max()) / len(rows)) <= TWICE:
+        return []
+    return _told(DOUBLED, OBSERVATIONS, ROWS, share, number=float(lag[times.argmax()]))
 
 
-TWICE = 0.1  # Least share of repeated observations; sensors that measure twice the same have none
+TWICE, LAPSE = 0.1, 5.0
+"""Least share of repeated observations; sensors that measure twice the same have none. Seconds after which a row of the
+same numbers is the same one, and no robot that stands still."""
 
 
 def _headings(x: Examination, *, explained: bool) -> list[Explained]:
@@ -725,26 +805,41 @@ def _share(
 TINY, SURE = 1e-6, 3.0  # m, least standard deviation of a motion; sigmas from which on a step's turn is no noise
 
 
-def explanations(c: Case) -> list[Explained]:
-    """The readings that explain most what does not fit, equal ones together; none of a sound log."""
+def explanations(c: Case, *, whole: bool = True) -> list[Explained]:
+    """The readings that explain most what does not fit, equal ones together; none of a sound log. `whole`: of which
+    one half may be sound.
+    """
     s = witnesses.samples(c)
     x = Examination(c, s)
+    if minutes := _minutes(c):
+        return minutes
     if (twice := _doubled(x)) or x.sound:
         return twice or _by_size(x) or (_strange(x) if c.names is not None else []) or _order(x)
-    singles = sorted(x.plain(), key=lambda e: -e.gain)
+    spins = bool(fastest(c.time, c.u[1:, 2]))
+    straight = x.judged(Reading(SCALE, "omega", _turning(0.0))).gain
+    # where no turn at all fits as well, something else is wrong
+    singles = [e for e in x.plain() if spins or not _of_turns(e) or straight < e.gain - max(2.0, CLOSE * e.gain)]
+    singles = sorted(singles, key=lambda e: -e.gain)
     found = [e for e in singles if accepted(e)]
-    if fastest(c.time, c.u[1:, 2]):  # between frames a turn in degrees has hidden the way
+    if whole and (not found or found[0].left) and (part := _in_part(c)):
+        return part
+    if spins:  # between frames a turn in degrees has hidden the way
         found = [e for e in found if "omega" in e.readings[0].of]
     # bearings in the world use no heading of the truth, as if it were wrong
     explained = bool(found) and not (found[0].left and found[0].readings[0].kind == WORLD)
-    other = _headings(x, explained=explained) or ((_by_size(x) or _strange(x)) if not found else [])
+    other = _headings(x, explained=explained or spins) or ((_by_size(x) or _strange(x)) if not found else [])
     # stamps of another time turn headings otherwise, too, and show other landmarks
     by_number = bool(other) and other[0].readings[0].kind == STRANGE and other[0].witness != NAMES
-    if other and not (by_number and any(map(accepted, x.clocks()))):
+    moved = (e for e in x.numbered() if e.readings[-1].kind in (CLOCK, TURNED))
+    if other and not (by_number and any(map(accepted, moved))):
         return other
     if not found or found[0].left:
         singles = sorted([*singles, *x.numbered()], key=lambda e: -e.gain)
         found = [e for e in singles if accepted(e)]
+    near = bool(found) and (found[0].readings[0].kind, found[0].readings[0].of) == (CLOCK, OBSERVATIONS)
+    if not found or found[0].left or near:  # without ids much fits
+        far = [e for part in (OBSERVATIONS, TRUTH) if (e := x.far_clock(part)) is not None and accepted(e)]
+        found = far if far and (not found or far[0].sharp > found[0].sharp + CLEAR) else found
     seeds = found[:1] or [e for e in singles[:3] if e.gain > CLEAR and _matters(e)]
     seeds = [e for e in seeds if e.readings[0].kind != SUMMED]  # which is half a frame late
     if not found or found[0].left:
@@ -754,7 +849,8 @@ def explanations(c: Case) -> list[Explained]:
                 found.append(e)
                 break
             for more in (*both.plain(), *both.numbered()):
-                if accepted(more) and more.readings[0].of != more.readings[1].of:
+                wild = any(r.kind == SCALE and abs(math.log(r.number)) > WILD for r in more.readings)
+                if accepted(more) and more.readings[0].of != more.readings[1].of and not wild:
                     found.append(replace(more, gain=e.gain + more.gain))
     if all(e.readings[0].kind == PLACED for e in found) and (order := _order(x)):  # on a circle both are the same
         return order
@@ -773,7 +869,7 @@ def explanations(c: Case) -> list[Explained]:
         off = [(abs(math.log(s.number * size)), 0.16 * abs(math.log(s.number))) for s in scales if of in s.of]
         plain += [e] * any(d < max(0.5 * LARGER, most) for d, most in off)
     plain = [e for e in plain if _as_well(e, max(plain, key=lambda e: e.gain))]
-    result = sorted(plain or equal, key=lambda e: -e.gain)
+    result = sorted(plain or equal, key=lambda e: -e.sharp)  # a stated noise favours the larger motion
     if c.truth is None and c.id is not None:  # the prior decides
         read = [reduce(lambda case, r: r.change(case), e.readings, c) for e in result]
         fits = [None if y.along is None else witnesses.placed_at(y, s.soon, y.along, drift=True) for y in read]
@@ -781,11 +877,36 @@ def explanations(c: Case) -> list[Explained]:
     return result
 
 
+def _of_turns(e: Explained) -> bool:
+    return e.readings[-1].kind == UNIT and e.readings[-1].of == "omega"
+
+
+def _in_part(c: Case) -> list[Explained]:
+    """What explains one half of a log whose other half is sound."""
+    middle = 0.5 * float(c.time[0] + c.time[-1])
+    wrong = []
+    for before in (True, False):
+        rows = np.flatnonzero((c.at < middle) == before)
+        known = None if c.truth is None else np.where(((c.truth_time < middle) == before)[:, None], c.truth, np.nan)
+        half = replace(c, frame=c.frame[rows], at=c.at[rows], z=c.z[rows], R=c.R[rows], truth=known,
+                       id=None if c.id is None else c.id[rows])  # fmt: skip
+        x = Examination(half, witnesses.samples(half))
+        if not any(f is not None for fits in x.said.values() for f in fits):
+            return []
+        if not x.sound:
+            span = (float(c.time[0]), middle) if before else (middle, float(c.time[-1]))
+            wrong.append((half, span))
+    if len(wrong) != 1:
+        return []
+    half, span = wrong[0]
+    return [replace(e, only=span) for e in explanations(half, whole=False) if e.witness != SIZE and e.stated > NEAREST]
+
+
 def _as_well(e: Explained, best: Explained) -> bool:
     """Whether a reading explains as much as the best, or has a unit that is too near to be told from its."""
     r, q = e.readings[-1], best.readings[-1]
     ratio = SIZES.get(r.unit, math.inf) / SIZES.get(q.unit, 1.0)
-    near = r.of == q.of and abs(math.log(ratio)) < LEFT * best.fits
+    near = r.of == q.of and abs(math.log(ratio)) < LEFT * max(best.fits, best.noise)
     return near or e.gain >= best.gain - max(2.0, CLOSE * best.gain)
 
 
@@ -798,9 +919,11 @@ def contradictions(log: Log) -> list[Notice]:
     best = found[0]
     together = len(best.readings) > 1
     readings = best.readings if together else tuple(e.readings[0] for e in found)
+    readings = tuple(_of_rows(r, log) for r in readings)
     readings += _held(readings[0], log) if len(readings) == 1 else ()
-    placed = any(r.of == "place of the sensor" for r in readings)  # which has its turn, too
-    each = [() if placed and r.of == "sensor" else flags_of(r, log) for r in readings]
+    placed = any(r.of == "place of the sensor" for r in readings)
+    # a flag mends all of a log, and the sensor's place has its turn, too
+    each = [() if best.only or (placed and r.of == "sensor") else flags_of(r, log) for r in readings]
     values = dict[str, list[str]]()  # of each flag, of all readings that hold together
     for name, _, value in (f.partition(" ") for fs in each[: len(readings) if together else 1] for f in fs):
         values.setdefault(name, []).extend([value] * bool(value))
@@ -809,8 +932,18 @@ def contradictions(log: Log) -> list[Notice]:
     others = () if together else tuple(" ".join(f) for f in each[1:])
     return [notice(
         Code.CONTRADICTION, kinds=kinds, of=of, units=units, numbers=numbers, together=together, witness=best.witness,
-        gain=best.gain, stated=best.stated, fits=best.fits, flags=flags, others=others,
+        gain=best.gain, stated=best.stated, fits=best.fits, flags=flags, others=others, only=best.only,
     )]  # fmt: skip
+
+
+def _of_rows(r: Reading, log: Log) -> Reading:
+    """Velocities that are as many times as large as a row is long [s]: motions of a row."""
+    period = float(cast("float", log.source.get(ODOMETRY_PERIOD, math.inf)))
+    near = r.kind == SCALE and r.of == "v and omega" and abs(math.log(r.number / period)) < ROW
+    return replace(r, kind=SUMMED, unit="row", number=period) if near else r
+
+
+ROW = 0.05  # Largest difference of logarithms
 
 
 def _held(r: Reading, log: Log) -> tuple[Reading, ...]:
@@ -856,6 +989,8 @@ def flags_of(r: Reading, log: Log) -> tuple[str, ...]:
         "range and bearing": "observations.range,observations.bearing", "x and y of the map": "map.x,map.y",
         "x and y of the truth": "truth.x,truth.y",
     }  # fmt: skip
+    if r.of == "everything" and r.unit == "min":
+        return ("--unit time=min",)
     if r.of == "everything" and 1.0 / SMALL_NOISE < r.number <= SMALL_NOISE:
         return (f"--unit length={r.unit}",)
     if r.of == "everything":  # but the lengths of flags, which `length` is of, too
@@ -863,8 +998,8 @@ def flags_of(r: Reading, log: Log) -> tuple[str, ...]:
         way = [key.partition(".")[2] for key in lengths.split(",")]
         keyed = dict.fromkeys([*way, *["range"] * (not cartesian), *["x", "y"] * placed])
         return ("--unit " + ",".join(f"{key}={r.unit}{'/s' * (key == 'v')}" for key in keyed),)
-    keys = ["time"] if r.kind == UNIT and r.of == "v and omega" else columns.get(r.of, "").split(",")
-    if r.kind in (UNIT, SIDE) or (r.kind == STRANGE and r.unit):
+    keys = ["time"] if r.unit == "min" and r.of == "v and omega" else columns.get(r.of, "").split(",")
+    if r.kind in (UNIT, SIDE) or r.unit == "row" or (r.kind == STRANGE and r.unit):
         pairs = [f"{key}={_unit(log, key, r)}" for key in keys]
         return ("--unit " + ",".join(pairs),)
     if r.kind == FRAME:
@@ -907,6 +1042,8 @@ def _unit(log: Log, key: str, r: Reading) -> str:
     plain = ("rad" if angle else "m") + ("/s" if name in ("v", "omega") else "")
     unit = given.get(key, given.get(name, given.get("angle" if angle else "length", plain)))
     unit += "/s" if name in ("v", "omega") and "/" not in unit else ""
+    if r.kind == SUMMED:
+        return f"{unit.partition('/')[0]}/{r.number:.6g}s"
     if r.kind == SIDE:
         return unit.removeprefix("-") if unit.startswith("-") else f"-{unit}"
     return r.unit.removesuffix("/s") + ("/s" if r.unit.endswith("/s") and name in ("v", "omega") else "")

@@ -1,6 +1,5 @@
 """Figures of error over time: each coordinate with its claimed 3 sigma, and the distance from a reference solution."""
 
-import itertools
 from collections.abc import Sequence
 from textwrap import fill
 from typing import Any
@@ -37,17 +36,17 @@ def thinned(curve: Array, most: int = MOST_BINS) -> IntArray:
     n = len(curve)
     if n <= 4 * most:
         return np.arange(n)
-    edges = np.linspace(0, n, most + 1).astype(int)
-    kept = {0, n - 1}
-    for a, b in itertools.pairwise(edges.tolist()):
-        stretch = curve[a:b]
-        kept |= {a, b - 1}
-        unknown = np.isnan(stretch)
-        if unknown.any():
-            kept.add(a + int(unknown.argmax()))
-        if not unknown.all():
-            kept |= {a + int(np.nanargmin(stretch)), a + int(np.nanargmax(stretch))}
-    return np.array(sorted(kept))
+    edge = np.linspace(0, n, most + 1).astype(int)
+    first, after = edge[:-1, None], edge[1:, None]
+    at = np.minimum(first + np.arange(int(np.diff(edge).max())), after - 1)  # a short stretch repeats its end
+    gap = np.isnan(curve[at])
+    least, greatest, missing = (
+        np.take_along_axis(at, each.argmax(axis=1)[:, None], axis=1)
+        for each in (np.where(gap, -np.inf, -curve[at]), np.where(gap, -np.inf, curve[at]), gap)
+    )
+    known = ~gap.all(axis=1)
+    kept = [first, after - 1, least[known], greatest[known], missing[gap.any(axis=1)]]
+    return np.unique(np.concatenate(kept))
 
 
 def sigmas(trajectory: Trajectory) -> Array:

@@ -355,10 +355,10 @@ def _kept(axis: Any) -> Callable[[], list[Tick]]:
     return ticks
 
 
-def settle(fig: Figure, times: int = 2) -> None:
-    """Lay a figure out for good, then put labels of y axes in line; with equal aspect, each layout moves everything."""
-    if not isinstance(fig.canvas, FigureCanvasAgg):
-        FigureCanvasAgg(fig)  # becomes the figure's; its renderer keeps the sizes of texts, until they are drawn
+def settle(fig: Figure, times: int = 2) -> FigureCanvasAgg:
+    """Lay a figure out for good, labels of y axes in line; its canvas. With equal aspect, each layout moves all."""
+    # its renderer keeps the sizes of texts, until they are drawn
+    canvas = fig.canvas if isinstance(fig.canvas, FigureCanvasAgg) else FigureCanvasAgg(fig)
     with _ticks_kept(fig):
         refit(fig)
         if (engine := fig.get_layout_engine()) is not None:
@@ -366,6 +366,7 @@ def settle(fig: Figure, times: int = 2) -> None:
                 engine.execute(fig)  # the layout alone: the picture is drawn when it is saved
     fig.set_layout_engine("none")
     fig.align_ylabels()
+    return canvas
 
 
 def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = None) -> list[Path]:
@@ -383,12 +384,10 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = N
         if current().usetex:
             translate(fig, escape=True)
         fig.set_dpi(PNG_DPI)
-        settle(fig, 1)  # one layout for all formats
+        canvas = settle(fig, 1)  # one layout for all formats
         for suffix in formats:
             path = folder / f"{stem}.{suffix}"
             if suffix == "png":  # as `savefig`, with the same pixels, but drawn once
-                canvas = fig.canvas
-                assert isinstance(canvas, FigureCanvasAgg)  # since it was laid out
                 canvas.draw()  # type: ignore[no-untyped-call]
                 pixels = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")  # type: ignore[no-untyped-call]
                 pixels.save(path, dpi=(PNG_DPI, PNG_DPI), compress_level=COMPRESS_LEVEL)

@@ -297,8 +297,7 @@ class FrontEnd:
             self.known.initialized(frame, done.created)
         if self.slam and self.sensor.sees:
             self._kind |= dict.fromkeys(done.created[done.created >= 0].tolist(), self.sensor.sees)
-        followers = frame.appearance, self.faces, self.map_management, self.parking
-        if any(f is not None for f in followers):
+        if any(of is not None for of in (frame.appearance, self.faces, self.map_management, self.parking)):
             self._see(frame, np.where(done.used, pairing.decisions, done.created))
         if self.own is not None:
             done = self.own.after(done)

@@ -19,14 +19,14 @@ from data.log import Log
 from data.logs import Reading, is_world, open_scored, unknown_world
 from data.notice import Code, Notice, Severity, notice
 from data.questions.asked import assumed_noise, truth_windows
-from data.se2 import Array
+from data.se2 import Array, wrap_angle
 from data.truth_windows import scored as screened
 from data.words import sentence
 from eval.plan.flags.table import Output, Scoring
 from eval.plan.results import TRUTH, Result, manner_of, offset_of, phase_of, runs_of, true_path, truth_of
 from eval.referee import consistency, errors, result_files
 from eval.referee.consistency import QUANTITIES
-from eval.referee.given.pairing import PLENTY
+from eval.referee.given.pairing import FITS, OTHER_FRAME, PLENTY, POOR
 from eval.referee.given.runs import GivenRun, TruePath, truth_log
 from eval.referee.metrics import OF_ESTIMATES
 from eval.referee.score import Trial, metrics_row
@@ -112,7 +112,7 @@ def scored(file: str, truth: str, reading: Scoring) -> Scored:
     except DataError:
         return found
     off = [columns_in_space(s.run.space[s.phase]).get("rmse_rotation_3d_se3_deg", math.inf) for s in (found, other)]
-    if not off[1] < off[0] / CLEARLY:
+    if not off[1] < off[0] / OTHER_FRAME:
         return found
     said = notice(Code.QUATERNION_ORDER, file=file, stated=off[0], fits=off[1])
     return replace(other, notes=(sentence(said), *other.notes))
@@ -163,10 +163,8 @@ def scores(s: Scored) -> dict[str, float]:
     return found | (columns_in_space(s.run.space[s.phase]) if s.phase in s.run.space else {})
 
 
-CLEARLY, TILTED, SIZE, SCALED = 5.0, 2.0, 0.05, 0.2
-"""Least ratio of RMS errors as read and after a fit, and where verticals or scales differ; least share of the path's
-extent that an error of another frame has; least logarithm of a scale that is unknown, as of one camera.
-"""
+TILTED, SCALED = 2.0, 0.2
+"""Least ratio of RMS errors as read and after a fit where verticals or scales differ; least logarithm of a scale."""
 
 
 def aligned_first(s: Scored, values: Mapping[str, float]) -> Notice | None:
@@ -183,19 +181,23 @@ def aligned_first(s: Scored, values: Mapping[str, float]) -> Notice | None:
     how, column, fits = ("se3", "rmse_position_3d_se3_m", rigid) if s.run.space else ("se2", "rmse_aligned_m", rigid)
     if abs(math.log(values.get("scale_sim3", 1.0))) > SCALED and TILTED * scaled < min(rigid, 0.5 * size):
         how, column, fits = "sim3", "rmse_position_3d_sim3_m", scaled
+    off = s.run.trajectory(s.phase).pose - s.run.match.truth
+    off = off[np.isfinite(off[:, :2]).all(axis=1)]
+    begun = len(off) > 0 and math.hypot(*off[0, :2]) < fits and abs(wrap_angle(off[0, 2])) < SAME_START
     tilted = any(n.code == Code.PATH_TILT and n.named["which"] == "world" for n in s.run.notes)
     if (
         len(known) < PLENTY
         or size < STANDING
-        or mean < CONSISTENT
-        or not direct > max((TILTED if tilted else CLEARLY) * fits, SIZE * size)
+        or begun
+        or mean < POOR
+        or not direct > max((TILTED if tilted else OTHER_FRAME) * fits, FITS * size)
     ):
         return None
     return notice(Code.ALIGNED_FIRST, column=column, direct=direct, how=how)
 
 
+SAME_START = math.radians(10.0)  # Heading between first poses, in one place, of a path that drifts from its truth's
 STANDING = 0.01  # m, extent of a robot that stands or turns in place, whose positions tell no frame
-CONSISTENT = 12.0  # Pose NEES up to which an estimate states that it is so far off
 
 
 def _sample(s: Scored) -> Sample:

@@ -194,7 +194,8 @@ def evidence(inputs: Inputs, number: IntArray, path: Array, landmarks: Array, of
         noises.append(inputs.fixes.covariance[of_poses.fixes])
     if inputs.closures is not None:
         noises.append(inputs.closures.covariance[of_poses.closures])
-    stated = sum(_log_determinants(each) for each in noises)
+    eigenvalues = (np.linalg.eigvalsh(each) for each in noises)  # those of zero are left out
+    stated = sum(float(np.log(size[size > 0.0]).sum()) for size in eigenvalues)
     return -0.5 * float(left[0, 0]) - float(np.log(np.abs(triangle.diagonal)).sum()) - 0.5 * stated
 
 
@@ -245,12 +246,6 @@ def redundancy(
         inside = inside[len(inside) - sum(counts) :]
         known[0][of_poses.fixes], known[1][of_poses.closures] = inside[: counts[0]], inside[counts[0] :]
     return Redundancy(odometry, observations, successive, *known)
-
-
-def _log_determinants(covariance: Array) -> float:
-    """Sum of the logarithms of all eigenvalues of covariances (n, d, d), without those of zero."""
-    size = np.linalg.eigvalsh(covariance)
-    return float(np.log(size[size > 0.0]).sum())
 
 
 def _eliminated(

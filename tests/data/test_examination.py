@@ -11,7 +11,7 @@ from data.questions.asked import ask
 from data.words import sentence
 from tests.mistakes import MISTAKES, RATE, log_of, world
 from tests.quick import slow
-from tests.research.sound import of_world
+from tests.research.sound import of_tables, of_world
 
 TRUE, FEW, BARE = {}, {"truth": False}, {"truth": False, "ids": False, "known": False}
 """Parts of a log: all; without truth; odometry and observations alone."""
@@ -22,6 +22,7 @@ NAMED = {
     "omega in deg/s": ("unit", "omega", "deg/s"), "bearings in degrees": ("unit", "bearing", "deg"),
     "v and omega swapped": ("exchanged", "v and omega", ""),
     "range and bearing swapped": ("exchanged", "range and bearing", ""),
+    "v and omega of a row": ("summed", "v and omega", "row"), "v a distance": ("summed", "v", ""),
     "omega to the other side": ("side", "omega", ""), "bearings to the other side": ("side", "bearing", ""),
     "observations 0.3 s late": ("clock", "observations", 0.3), "observations 1 s late": ("clock", "observations", 1.0),
     "sensor turned by 90 deg": ("turned", "sensor", 90.0), "sensor turned by -90 deg": ("turned", "sensor", -90.0),
@@ -40,7 +41,7 @@ NAMED = {
     "quaternions of the truth inverted": ("side", "truth.theta", ""),
 }  # fmt: skip
 """Kind, quantity, and unit or number of the reading that mends each mistake."""
-OF_TRUTH = ("ranges in yards", "observations 100 s late", "stamps in min", "sensor 1.2 m ahead",
+OF_TRUTH = ("ranges in yards", "sensor 1.2 m ahead",
             "bearing and turn clockwise", *(name for name in NAMED if "truth" in name))  # fmt: skip
 OF_MAP = [name for name in NAMED if "map" in name or name.startswith("ids")]
 QUICK = ("omega in rpm", "sensor 1.2 m ahead", "truth of an antenna", "omega to the other side", "v backward",
@@ -95,6 +96,35 @@ def test_bearings_in_the_world_of_a_noisy_robot_are_named_alone(tmp_path):
     rough_world = replace(t, odometry=rough, sigmas=(*noise, *t.sigmas[2:]))
     (asked,) = ask(log_of(tmp_path, MISTAKES["bearings in the world"](rough_world), **FEW))
     assert (asked.named["kinds"], asked.named["of"]) == (("world",), ("bearing",))
+
+
+@pytest.mark.parametrize("parts", [TRUE, slow(FEW), BARE])
+@pytest.mark.parametrize(("mistake", "kind"), [("from 60 s on 20 s late", "clock"),
+                                               ("from 60 s on to the other side", "side")])  # fmt: skip
+def test_a_mistake_in_one_half_is_named_with_its_span_and_without_flags_that_change_all(mistake, kind, parts, tmp_path):
+    """Seen: nothing, true headings in degrees, ids of other landmarks."""
+    (asked,) = ask(log_of(tmp_path, MISTAKES[mistake](world(0)), **parts))
+    assert (asked.named["kinds"][0], asked.named["flags"]) == (kind, ())
+    assert asked.named["only"] == pytest.approx((60.0, 119.9), abs=0.1)
+
+
+def test_a_stretch_that_was_recorded_twice_is_named_by_its_equal_numbers(tmp_path):
+    t = world(0)
+    again = {p: np.vstack([a[a[:, 0] < 60.0], a[a[:, 0] >= 30.0] + 30.0 * np.eye(a.shape[1])[0]])
+             for p in ("odometry", "seen", "truth") for a in [getattr(t, p)]}  # fmt: skip
+    (asked,) = ask(log_of(tmp_path, replace(t, **again)))
+    assert (asked.named["kinds"], asked.named["numbers"]) == (("doubled",), (30.0,))
+
+
+@pytest.mark.parametrize(("form", "unit"), [("velocities", "cm"), ("steps", "min")])
+def test_lengths_and_stamps_of_two_parts_alone_are_told_by_acceleration_to_the_side(form, unit, tmp_path):
+    t = world(0, speed=1.6)
+    if unit == "cm":
+        log = log_of(tmp_path, MISTAKES["everything in cm"](t), **BARE)
+    else:
+        log = of_tables(tmp_path, t, form, **BARE)
+        log = replace(log, recorded=replace(log.recorded, time=log.recorded.time / 60.0))
+    assert unit in ask(log)[0].named["units"]
 
 
 def test_of_two_parts_alone_either_may_turn_to_the_other_side(tmp_path):

@@ -49,7 +49,7 @@ def test_a_stiff_path_is_smoothed_to_the_same_optimum_from_the_filters_path_and_
     assert 0.9 < a.cost / a.dof < 1.1
 
 
-def test_a_search_that_is_cut_short_says_how_far_it_came(monkeypatch):
+def test_a_search_that_is_cut_short_says_how_far_it_came_and_a_likely_reason(monkeypatch):
     _, inputs, decisions, created = labelled("park:1:frames=300")
     monkeypatch.setattr(optimum, "MOST", 0)
     monkeypatch.setattr(optimum, "FURTHER", 0)
@@ -57,13 +57,7 @@ def test_a_search_that_is_cut_short_says_how_far_it_came(monkeypatch):
         NotConvergedError, match=r"did not converge: after \d+ steps .* sigma are left at .* weakest is"
     ):
         smooth(inputs, decisions, created, filtered(inputs, decisions))
-
-
-def test_a_landmark_that_has_come_to_lie_on_the_robot_is_named_as_a_likely_reason(monkeypatch):
-    """Where it was seen from no bearing has a slope; here whatever is nearer than five metres counts as there."""
-    _, inputs, decisions, created = labelled("park:1:frames=300")
-    monkeypatch.setattr(optimum, "MOST", 0)
-    monkeypatch.setattr(optimum, "FURTHER", 0)
+    # a landmark on the robot is a likely reason, as no bearing has a slope there: here all nearer than 5 m
     monkeypatch.setattr(optimum, "ON_THE_ROBOT", 5.0)
     with pytest.raises(NotConvergedError, match=r"; landmark \d+ is only .* m from the robot at frame \d+"):
         smooth(inputs, decisions, created, filtered(inputs, decisions))
@@ -131,20 +125,15 @@ def still(frames, motion, prior, known=None, times=1):
     return found.residual_share.reshape(frames, -1, 2), found.dof
 
 
-def test_a_point_seen_n_times_from_known_poses_leaves_all_but_an_nth():
-    share, _ = still(4, 1e-12, 1e-12)
-    np.testing.assert_allclose(share, 0.75, atol=1e-6)
+def test_a_point_seen_n_times_from_known_poses_leaves_all_but_an_nth_and_seen_once_nothing():
+    np.testing.assert_allclose(still(4, 1e-12, 1e-12)[0], 0.75, atol=1e-6)
+    np.testing.assert_allclose(still(1, 1.0, 1e-12)[0], 0.0, atol=1e-6)
 
 
 def test_a_pose_known_by_its_observations_alone_takes_three_of_them():
     share, dof = still(5, 1e6, 1e6, LandmarkMap(np.arange(3), POINTS))
     np.testing.assert_allclose(share.sum(axis=(1, 2)), 3.0, atol=1e-4)
     assert dof == 30  # as many as numbers observed: prior and motion have the others
-
-
-def test_a_landmark_seen_once_leaves_nothing():
-    share, _ = still(1, 1.0, 1e-12)
-    np.testing.assert_allclose(share, 0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["arena:0:frames=20", "corridor:0:people"])

@@ -67,6 +67,8 @@ def parser() -> argparse.ArgumentParser:
     sound = studies.add_parser("sound", help="how often the cross-examination accuses sound logs of many formats")
     sound.add_argument("--logs", type=int, metavar="N", default=600, help="sound logs (default: 600)")
     sound.add_argument("--first", type=int, metavar="N", default=0, help="the first of them (default: 0)")
+    mistakes = studies.add_parser("mistakes", help="from which stated noise on mistakes in a log become silent")
+    mistakes.add_argument("worlds", metavar="WORLD", nargs="*", default=["robot", "example", "visual:0"])
     return p
 
 
@@ -76,6 +78,11 @@ def _study(argv: Sequence[str] | None) -> None:
         from tests.research import sound
 
         sound.study(args.logs, args.first)
+        return
+    if args.study == "mistakes":
+        from tests.research import mistakes
+
+        mistakes.study(args.worlds)
         return
     args.out.mkdir(parents=True, exist_ok=True)
     if args.study == "variety":

@@ -51,10 +51,6 @@ class Text:
         """Place of a row, for messages."""
         return f"{self.path}:{self.line[row]}"
 
-    def without_header(self) -> Text:
-        """The rows below the first line."""
-        return replace(self, fields=self.fields[1:], line=self.line[1:])
-
     def one_of(self, key: str, allowed: Collection[str]) -> str | None:
         """A value of the header that must be one of a few; None if absent."""
         if key not in self.header:

@@ -206,7 +206,7 @@ def _unit(word: str) -> str:
 def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     """The trajectory of named columns, in space if there is a z or more than a heading, else in the plane."""
     place, ours = columns.place, text.commas and set(PLANE[1:]) <= {f.strip('"') for f in text.fields[0]}
-    body = text.without_header() if columns.in_data else text
+    body = replace(text, fields=text.fields[1:], line=text.line[1:]) if columns.in_data else text
     if not body.fields:
         raise DataError.at(text.path, "a header and no pose; at least one is needed")
     if ours:

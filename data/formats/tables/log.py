@@ -86,6 +86,9 @@ def _instants(
     return (stamps, True) if stamped else (rows, False)
 
 
+ANEW = 5.0  # s, by which one step back is no delay of a message
+
+
 def _at(table: Table, keys: Sequence[str], stamped: bool, odometry: Odometry) -> Array:
     """Instants (K, keys) [s] of stamps, or of row numbers of the odometry."""
     if stamped:
@@ -196,7 +199,9 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
     nothing = np.zeros(len(z), np.int64)
     found = Rows(what, "observation", table, at, stamped, z, np.tile(of.sigma, (len(z), 1)), nothing)
     if back := int((np.diff(at[:, 0]) < 0.0).sum()):
-        notes.append(f"{file.path.name}: {back} observations were stamped before the one above; sorted")
+        far = -float(np.diff(at[:, 0]).min())
+        anew = f", one by {far:.6g} s: did the clock begin anew there?" * (back == 1 and stamped and far > ANEW)
+        notes.append(f"{file.path.name}: {back} observations were stamped before the one above{anew}; sorted")
         found = found.part(np.argsort(at[:, 0], kind="stable"))
     return found
 
@@ -327,7 +332,8 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     )  # fmt: skip
     several = [of.sensor.label for of in wanted.sensors if of.sensor.label]
     files = {role: path.name for role, path in wanted.files.items() if role not in several}
-    digest = {role: _digest(path) for role, path in wanted.files.items()}
+    each = {role: [path] if path.is_dir() else parts_of(path) for role, path in wanted.files.items()}
+    digest = {role: " ".join(file_sha256(file_and_word(p)[0]) for p in some) for role, some in each.items()}
     files |= {f"{role}_sha256": digest[role] for role in wanted.files if role not in several}
     more: dict[str, object] = {ODOMETRY_KIND: "velocities" if odometry.velocities else wanted.kind}
     if several:
@@ -350,13 +356,6 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     if true is not None:
         stamped = (time if true.time is None else true.time, true.pose)
     return Recording(log, Samples(odometry.time, odometry.motion, VelocityModel(wanted.noise, wanted.model), stamped))
-
-
-def _digest(path: Path) -> str:
-    parts = parts_of(path)
-    if len(parts) == 1 or path.is_dir():
-        return file_sha256(file_and_word(path)[0])
-    return " ".join(map(file_sha256, parts))
 
 
 def _origins(wanted: Wanted) -> Origins:

@@ -178,6 +178,9 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
     bad, asked = _leaps(pair, placed)
     known, placed = known & ~bad, placed & ~bad
     yield from asked
+    if own := leaps(*_of_positions(pair.estimate.pose, np.where(placed[:, None], pair.at, np.nan))):
+        first, last = zip(*own, strict=True)
+        yield notice(Code.PATH_OUTLIERS, file=pair.estimate.file, first=first, last=last)
     if pair.truth is not None and pair.truth.covariance is not None and pair.estimate.covariance is None:
         yield notice(Code.PATH_SWAPPED, estimate=pair.estimate.file, truth=pair.truth.file)
     yield from _order(pair, known)
@@ -195,11 +198,7 @@ def _leaps(pair: Pair, placed: BoolArray) -> tuple[BoolArray, list[Notice]]:
     truth, estimate = pair.truth, pair.estimate
     if truth is None:
         return ~placed, []
-    theirs, ours = truth.pose.copy(), truth_at(estimate.time, estimate.pose, truth.time)
-    known = np.isfinite(np.hstack([theirs[:, :2], ours[:, :2]])).all(axis=1)
-    if known.sum() >= FEW and not np.isfinite(theirs[known, 2] + ours[known, 2]).any():  # positions alone
-        ours = compose(rigid_fit(ours[known, :2], theirs[known, :2]), ours)
-        theirs[:, 2] = ours[:, 2] = 0.0
+    theirs, ours = _of_positions(truth.pose, truth_at(estimate.time, estimate.pose, truth.time))
     found, inside = [], np.zeros(len(placed), bool)
     edge = min(1e-3, 0.1 * float(np.diff(truth.time).min(initial=1.0)))
     for first, last in leaps(theirs, ours):
@@ -212,6 +211,16 @@ def _leaps(pair: Pair, placed: BoolArray) -> tuple[BoolArray, list[Notice]]:
         return inside, []
     of, to, flags = zip(*found, strict=True)
     return inside, [notice(Code.PATH_LEAP, file=truth.file, other=estimate.file, first=of, last=to, flags=flags)]
+
+
+def _of_positions(path: Array, other: Array) -> tuple[Array, Array]:
+    """Two paths (n, 3), where one has positions alone laid onto each other, with headings of 0."""
+    path, other = path.copy(), other.copy()
+    known = np.isfinite(np.hstack([path[:, :2], other[:, :2]])).all(axis=1)
+    if known.sum() >= FEW and not np.isfinite(path[known, 2] + other[known, 2]).any():
+        other = compose(rigid_fit(other[known, :2], path[known, :2]), other)
+        path[:, 2] = other[:, 2] = 0.0
+    return path, other
 
 
 WORSE, POOR, FAIR = 4.0, 12.0, 30.0  # Least ratio of pose NEES as read and otherwise, least as read, largest otherwise

@@ -96,6 +96,7 @@ class Match:
     error: float
     """m, RMS error of the interpolation; NaN without one. Truths are left out and interpolated from their neighbours;
     a quarter of that error holds at half the step."""
+    apart: float | None = None  # s between truths, where that is more than the largest gap that was asked for
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -105,7 +106,7 @@ class Match:
         """The counts."""
         error = self.error if math.isfinite(self.error) else None
         poses, between = self.matched + self.unmatched, self.interpolated
-        return notice(Code.MATCHED, matched=self.matched, poses=poses, between=between, error=error)
+        return notice(Code.MATCHED, matched=self.matched, poses=poses, between=between, error=error, apart=self.apart)
 
 
 def match(
@@ -126,7 +127,9 @@ def match(
     found[hidden] = np.nan
     known = np.asarray(np.isfinite(found[:, :2]).all(axis=1))
     matched, between = int(known.sum()), int((share[known] > 0.0).sum())
-    return Match(found, matched, n - matched, between, _sagitta(truth_time, truth, gap) if between else math.nan)
+    apart = float(np.median(np.diff(truth_time))) if len(truth_time) > 1 else 0.0
+    error = _sagitta(truth_time, truth, gap) if between else math.nan
+    return Match(found, matched, n - matched, between, error, apart if apart > gap + SAME else None)
 
 
 def around(time: Array, truth_time: Array, gap: float) -> tuple[IntArray, IntArray, Array]:

@@ -6,7 +6,6 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from data.errors import UsageError
 from data.worlds.arena import Arena, simulate
 
 MANY = Arena(landmarks=400, side=40.0, frames=1000, clutter=2.0, detection=0.8)
@@ -48,17 +47,3 @@ def test_the_prior_is_off_by_what_it_states():
     off = np.array([g.recorded.prior.mean - g.truth.pose[0] for g in logs])
     np.testing.assert_allclose(off.std(axis=0), [0.1, 0.1, 0.03], rtol=0.2)
     np.testing.assert_allclose(np.sqrt(np.diag(logs[0].recorded.prior.covariance)), [0.1, 0.1, 0.03])
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("landmarks", 0), ("frames", 0), ("side", 0.0), ("period", 0.0), ("odometry_rate", 0.0), ("radius", 0.0),
-        ("max_range", 0.0), ("field_of_view", 0.0), ("sigma_v", -1.0), ("sigma_omega", -1.0), ("min_range", -1.0),
-        ("prior_sigma", -1.0), ("prior_sigma_heading", -1.0), ("clutter", -1.0), ("sigma_range", 0.0),
-        ("sigma_bearing", 0.0), ("sigma_point", 0.0), ("detection", 1.01), ("detection", -0.01), ("sensor", "sonar"),
-    ],
-)  # fmt: skip
-def test_parameters_out_of_range_are_refused_by_name(key, value):
-    with pytest.raises(UsageError, match=f"arena: {key}"):
-        Arena(**{key: value})

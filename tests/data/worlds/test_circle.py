@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from data.errors import UsageError
 from data.log import Log
 from data.worlds.circle import Circle, simulate
 from tests.data.worlds.samples import LIMIT, agrees
@@ -149,21 +148,3 @@ class TestStreams:
         assert not np.isin(one.increments.mean[1:, 0], other.increments.mean[:, 0]).any()
         assert not np.isin(one.observations.z, other.observations.z).any()
         assert not np.isin(one.prior.mean, other.prior.mean).any()
-
-
-class TestParameters:
-    @pytest.mark.parametrize(("change", "why"), [
-        ({"sigma_speed": -0.1}, "sigma_speed = -0.1; must not be negative"),
-        ({"sigma_point": 0.0}, "sigma_point = 0.0; a positive number"),
-        ({"frames": 2.5}, "frames = 2.5; a whole number"),
-        ({"speed": math.nan}, "speed = nan; a finite number"),
-        ({"min_range": 5.0}, "min_range = 5.0, max_range = 5.0; min_range < max_range"),
-        ({"heading_noise": "during"}, "heading_noise = 'during': unknown; known: after, before"),
-        ({"ring": -20.0}, "ring = -20.0; more than -9.54"),
-    ])  # fmt: skip
-    def test_a_senseless_value_is_named_with_its_key(self, change: dict[str, Any], why: str):
-        with pytest.raises(UsageError) as error:
-            Circle(**change)
-        assert why in str(error.value)
-        assert str(error.value).startswith("circle: ")
-        assert "\n" not in str(error.value)

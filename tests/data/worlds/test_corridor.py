@@ -9,11 +9,9 @@ import pytest
 
 from data import se2
 from data.convert.__main__ import main
-from data.errors import UsageError
 from data.formats.open_log import load_folder
 from data.inputs import CLUTTER
 from data.log import Log
-from data.logs import open_log
 from data.sensors import RelativePoint
 from data.worlds import registry
 from data.worlds.corridor import Corridor, simulate
@@ -229,28 +227,6 @@ class TestStreams:
 
 
 class TestNames:
-    @pytest.mark.parametrize(("name", "wrong"), [
-        ("corridor:0:no-people=1", "no-people=1"),
-        ("corridor:0:no-range", "range needs a value"),
-        ("corridor:0:srho=-.1", "srho = -0.1"),
-        ("corridor:0:crowd=20", "without people"),
-        ("corridor:0:sx_blind=1", "no-odometry"),
-        ("corridor:0:no-odometry+sx_move=1", "no-odometry"),
-        ("corridor:0:min_angle=-181", "min_angle = -181"),
-        ("corridor:0:people+people=on", "people is given twice"),
-        ("corridor:0:forward", "forward = True has no effect with odometry"),
-        ("corridor:0:no-odometry+forward+constant-velocity", "one can be stated"),
-        ("corridor:0:no-odometry+forward+sx_blind=1", "with a motion prior"),
-        ("corridor:0:no-odometry+step_mean=1", "without forward"),
-        ("corridor:0:no-odometry+forward+velocity=2", "without constant-velocity"),
-        ("corridor:0:no-odometry+turn_sigma=20", "without a motion prior"),
-    ])  # fmt: skip
-    def test_a_name_that_makes_no_sense_is_refused_in_one_line(self, name, wrong):
-        with pytest.raises(UsageError) as fault:
-            open_log(name)
-        assert wrong in str(fault.value)
-        assert "\n" not in str(fault.value)
-
     def test_a_motion_prior_changes_what_is_stated_and_nothing_that_is_seen(self):
         bare = simulate(Corridor(odometry=False), 4)
         for log in (simulate(Corridor(odometry=False, **{k: True}), 4) for k in ("forward", "constant_velocity")):

@@ -1,12 +1,9 @@
 """The linear world: linearized at the truth it is itself, noise is as stated, and right estimators are consistent."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 from data import se2
-from data.errors import UsageError
 from data.worlds.linear import LinearWorld, simulate
 from eval.referee.consistency import nees, verdict
 from eval.replay.run import compare
@@ -82,22 +79,3 @@ class TestStreams:
         plain = drawn()
         for i, key in enumerate(("sigma_odometry", "sigma_point", "prior_sigma")):
             assert [a == b for a, b in zip(drawn(**{key: 0.3}), plain)] == [j != i for j in range(3)]
-
-
-class TestParameters:
-    @pytest.mark.parametrize(("change", "why"), [
-        ({"sigma_odometry": -0.1}, "sigma_odometry = -0.1; must not be negative"),
-        ({"prior_sigma_heading": -0.1}, "prior_sigma_heading = -0.1; must not"),
-        ({"sigma_point": 0.0}, "sigma_point = 0.0; a positive number"),
-        ({"frames": 0}, "frames = 0; at least 1"),
-        *(
-            ({key: 0.0}, f"{key} = 0.0; a positive")
-            for key in ("period", "laps", "half_length", "half_width", "spacing", "max_range")
-        ),
-    ])  # fmt: skip
-    def test_a_senseless_value_is_named_with_its_key(self, change: dict[str, Any], why: str):
-        with pytest.raises(UsageError) as error:
-            LinearWorld(**change)
-        assert why in str(error.value)
-        assert str(error.value).startswith("linear: ")
-        assert "\n" not in str(error.value)

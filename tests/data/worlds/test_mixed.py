@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from data.errors import UsageError
 from data.logs import open_log
 from data.pose_measurements import FixKind, expected_closure, expected_fix
 from data.se2 import wrap_angle
@@ -65,10 +64,3 @@ def test_a_period_of_zero_leaves_a_sensor_out():
     only = open_log("mixed:0:gps_period=0").recorded.fixes
     assert [s.name for s in only.sources] == ["compass"]
     assert open_log("mixed:0:gps_period=0+compass_period=0").recorded.fixes is None
-
-
-def test_a_wrong_value_is_refused_under_the_own_name():
-    with pytest.raises(UsageError, match=r"mixed: outliers = 2\.0; a share is needed"):
-        open_log("mixed:0:outliers=2")
-    with pytest.raises(UsageError, match=r"mixed: sigma_gps = 0\.0; a positive number is needed"):
-        open_log("mixed:0:sigma-gps=0")

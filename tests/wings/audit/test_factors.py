@@ -153,17 +153,11 @@ def test_holm_of_few():
     assert np.exp(holm(np.log([0.01, np.nan, 0.04, 0.03])))[2:] == pytest.approx([0.06, 0.06])
 
 
-def test_a_variable_without_value_is_named():
+@pytest.mark.parametrize(("to", "x", "named"), [(99, 0.0, "factor 9: x99 has no value"), (3, np.nan, "factor 9")])
+def test_a_variable_without_value_or_a_residual_that_is_not_finite_is_named(to, x, named):
     graph, values = chain()
-    graph.add(gtsam.BetweenFactorPose2(X(0), X(99), gtsam.Pose2(), gtsam.noiseModel.Unit.Create(3)))
-    with pytest.raises(DataError, match="factor 9: x99 has no value"):
-        examined(graph, values)
-
-
-def test_a_residual_that_is_not_finite_is_named():
-    graph, values = chain()
-    graph.add(gtsam.BetweenFactorPose2(X(0), X(3), gtsam.Pose2(np.nan, 0, 0), gtsam.noiseModel.Unit.Create(3)))
-    with pytest.raises(DataError, match="factor 9"):
+    graph.add(gtsam.BetweenFactorPose2(X(0), X(to), gtsam.Pose2(x, 0, 0), gtsam.noiseModel.Unit.Create(3)))
+    with pytest.raises(DataError, match=named):
         examined(graph, values)
 
 

@@ -5,6 +5,7 @@ import pytest
 from scipy import ndimage
 
 from eval.replay.settings import Setup
+from tests.quick import slow
 from wings.laser.scans.occupancy import Grid, occupancy_grid
 from wings.robot.exploring import CELL, ROOM, Explorer, path_to_frontier
 from wings.robot.live.scanning import ScanEstimating
@@ -85,15 +86,8 @@ def explored(place, seconds):
     return explorer.finished, known.sum() / len(rows), k * PERIOD
 
 
-def test_a_room_is_seen_whole_and_that_is_the_end():
-    finished, share, _ = explored(room(0), 240.0)
-    assert finished
-    assert share > 0.98
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1])
-def test_a_building_is_seen_whole_and_that_is_the_end(seed):
-    finished, share, _ = explored(floor_of(seed), 5000.0)
+@pytest.mark.parametrize(("place", "seed", "most"), [(room, 0, 240.0), slow(floor_of, 0, 5e3), slow(floor_of, 1, 5e3)])
+def test_a_room_or_building_is_seen_whole_and_that_is_the_end(place, seed, most):
+    finished, share, _ = explored(place(seed), most)
     assert finished
     assert share > 0.98
