@@ -23,7 +23,16 @@ from eval.replay.hindsight.ledger import (
     detection_rate,
     verdict,
 )
-from eval.replay.hindsight.opportunities import missing
+from eval.replay.hindsight.opportunities import (
+    BEFORE,
+    BEHIND,
+    DETECTED,
+    FAMILIAR,
+    _codes,
+    beside,
+    cell,
+    missing,
+)
 
 PLACES = np.array([[5.0, 0.0], [5.0, 4.0], [5.0, -4.0], [3.0, 1.0], [3.0, -1.0]])
 REACH = math.hypot(5.0, 4.0)
@@ -373,3 +382,31 @@ def test_directions_behind_the_robot_are_the_same_on_both_sides():
     behind = math.pi - 0.2 * SHADOW
     assert absent([[5.0, behind]], [[3.0, -behind]], [-1], around, 1e-4) == [False]
     assert absent([[5.0, behind]], [[3.0, 0.0]], [-1], around, 1e-4) == [True]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_opportunities_are_counted_as_the_sets_of_familiar_viewpoints_say(seed):
+    rng, cells = np.random.default_rng(seed), (constants.VIEW_RING, constants.VIEW_SIDES)
+    owner, found, behind = rng.integers(0, 6, 600), rng.random(600) < 0.4, rng.random(600) < 0.3
+    pose = np.cumsum(rng.normal(0.0, [0.3, 0.3, 0.2], (600, 3)), 0)
+    polar = np.column_stack([rng.uniform(0.0, 20.0, 600), rng.uniform(-3.0, 3.0, 600)])
+    record = [{"familiar": set(), "told": [], "at": (math.inf, math.inf), "cell": None} for _ in range(6)]
+    expected = np.full(600, -1)
+    for q, (i, (x, y, heading), (r, b)) in enumerate(zip(owner, pose, polar, strict=True)):
+        one = record[i]
+        elsewhere, here = math.dist(one["at"], (x, y)) >= 1.0, cell(r, heading + b)
+        if not (found[q] or elsewhere):
+            continue
+        if one["familiar"] and (elsewhere or one["told"][-1:] in ([], [BEFORE])):
+            seen_from = BEHIND if behind[q] else FAMILIAR if here in one["familiar"] else 0
+            one["told"].append(DETECTED * int(found[q]) + seen_from)
+            expected[q] = one["told"][-1]
+        elif not (one["familiar"] or found[q]):
+            one["told"].append(BEFORE)
+            expected[q] = BEFORE
+        if found[q] and here != one["cell"]:
+            one["cell"] = here
+            one["familiar"] |= beside(here)
+        one["at"] = (x, y) if elsewhere else one["at"]
+    np.testing.assert_array_equal(_codes(owner, found, behind, pose, polar, 1.0, *cells), expected)
+    assert len(set(expected.tolist())) >= 6
