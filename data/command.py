@@ -57,13 +57,15 @@ def without_places(text: str, words: Iterable[str]) -> str:
 
 
 class Parser(argparse.ArgumentParser):
-    """Reports errors in one line; flags must be written out, and texts keep their layout. A word that begins with a
+    """Reports errors in one line; flags must be written out, and examples keep their layout. A word that begins with a
     minus and a digit is a value, as in `--view -60deg,60deg`.
     """
 
     def __init__(self, **options: Any) -> None:
         super().__init__(allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter, **options)
-        self.description = "\n".join(textwrap.fill(line, 80) for line in (self.description or "").splitlines())
+        said = re.sub(r"(?m)^(\S.*)\n(?=\S)", r"\1 ", self.description or "")  # a paragraph is filled as a whole
+        lines = ((line, len(re.sub(r"^( +\S+ {2,}| *).*", r"\1", line))) for line in said.splitlines())
+        self.description = "\n".join(textwrap.fill(line, 80, subsequent_indent=" " * n) for line, n in lines)
         if self.add_help:  # of a command with one page of help
             self.add_argument("--help-all", action="help", help=argparse.SUPPRESS)
         self._negative_number_matcher = re.compile(r"-\.?\d")
