@@ -9,16 +9,30 @@ from gtsam import symbolIndex
 from gtsam.symbol_shorthand import X
 
 from data import se2
-from data.inputs import FrameObservations, Increment, LandmarkMap, Prior
+from data.inputs import FrameObservations, Increment, LandmarkMap, Prior, Systematic
 from data.result import DISCARD
+from data.sensors import RangeBearing, RelativePoint
 from graph.factors import pose2, root_information
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 from graph.open_end import PINNED, OpenEnd, increment_factor, knot_factor, linear_factor, pinned_landmark_factors
 from graph.systematic import CONSTANTS, drift_key, errors_of
 from tests.graph.calibrating import as_sensed, erring
-from tests.graph.calibration.worlds import ALL, CARTESIAN_OFF, ODOMETRY, P0, POLAR, POLAR_OFF, to_estimate
 from tests.graph.driving import TIGHT, drive
+
+OFF_CENTRE = {"rotation": 0.6, "translation": (0.3, -0.2)}
+ODOMETRY = ("scale", "curvature", "left", "right")
+ALL = ("scale", "curvature", "left", "right", "drift", "range", "bearing")
+SIGMA = {"scale": 0.05, "curvature": 0.05, "left": 0.05, "right": 0.05, "drift": 0.02, "range": 0.05, "bearing": 0.05}
+POLAR, CARTESIAN = RangeBearing(max_range=8.0), RelativePoint(max_range=8.0)
+POLAR_OFF, CARTESIAN_OFF = RangeBearing(max_range=8.0, **OFF_CENTRE), RelativePoint(max_range=8.0, **OFF_CENTRE)
+P0 = np.array([[0.0004, 0.0001, 0.0], [0.0001, 0.0002, 0.0], [0.0, 0.0, 0.0001]])
+
+
+def to_estimate(*names):
+    """Errors with the world's sigmas; a drift with knots every 1.6 m."""
+    return Systematic(names, np.array([SIGMA[n] for n in names]), 8.0)
+
 
 START = np.array([2.0, -1.0, 0.4])
 
