@@ -319,7 +319,7 @@ def read_kitti(text: Text, manner: paths.Manner) -> paths.GivenPath:
     off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
     bad = np.flatnonzero((off > UNIT) | (np.linalg.det(R) < 0.0))
     if len(bad):
-        raise DataError.at(file, "its first three columns are no rotation", line=text.line[bad[0]])
+        raise DataError.at(file, "no KITTI pose (no rotation); name columns: --columns x=2,y=3", line=text.line[bad[0]])
     usual = manner.axes is None and not stamped
     axes = "a camera's axes" if usual else f"a {manner.axes or 'robot'}'s axes"
     kind, stated = f"KITTI poses in {axes}, {clock.words}", paths.Stated(axes=usual)

@@ -105,6 +105,7 @@ FAULTS = {
         "1403636579763555584,0,0,0,1,0,0,0\n1403636578763555584,0,0,0,1,0,0,0\n", ":2: stamp 14036365787",
     ),
     "quaternion": (f"{T}\n1 0 0 0 0 0 0 0\n", ":2: quaternion [0.0, 0.0, 0.0, 0.0] has length 0"),
+    "12 other columns": (f"{T} 0 0 0 0\n", ":1: no KITTI pose (no rotation); name columns: --columns x=2"),
     "strange": ("1 2 3\n", ":1: 3 fields, '1,2,3': no known trajectory format; a CSV with"),
     "covariance": ("t,x,y,theta,c_xx\n0,1,2,3,4\n", ":1: column c_xy: no such column, but c_xx"),
     "negative": ("t,x,y,theta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt\n0,0,0,0,1,0,0,1,0,-2\n", ":2: covariance of x, y"),
