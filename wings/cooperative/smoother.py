@@ -42,8 +42,8 @@ STEP, MOST, SHORTEST = 1e-6, 100, 1e-3
 """Sigma, root sum of squares of a step that ends the search; most steps; share below which none is shortened."""
 ADDED = 0.03
 """What a remaining step d may add to the NEES of a pose or landmark: d' P^-1 d, since errors of the optimum have mean
-zero and covariance P. It is 1 % of the 3 expected, an eighth of the standard error sqrt(2 / 300) of a mean of 100 runs.
-In the curved valley of odometry that is stiff across the way, steps are short; `last_step_sigma` tells."""
+zero and covariance P. It is 1 % of the 3 expected, an eighth of the relative standard error
+sqrt(2 / 300) of a mean of 100 runs. In the curved valley of odometry that is stiff across the way, steps are short."""
 
 
 class TeamSmoothed(NamedTuple):
