@@ -57,8 +57,7 @@ def read_bag(path: Path, topic: str | None, manner: Manner) -> GivenPath:
                 rows = [_row(each, 1e-9 * recorded) for each in message.poses]
                 frames = {(message.header.frame_id, "")}
             else:
-                stamp = message.header.stamp
-                unstamped += not (stamp.sec or stamp.nanosec)
+                unstamped += stamp_of(message, 0.0) == 0.0
                 rows.append(_row(message, 1e-9 * recorded))
                 frames.add((message.header.frame_id, getattr(message, "child_frame_id", "")))
     file = f"{path}:{topic}"
@@ -67,11 +66,9 @@ def read_bag(path: Path, topic: str | None, manner: Manner) -> GivenPath:
     if len(frames) > 1:
         named = ", ".join(sorted("/".join(filter(None, pair)) for pair in frames))
         raise DataError.at(file, f"messages state the frames {named}; one is needed")
-    notes: tuple[str, ...] = ()
-    if unstamped:
-        notes += (f"{unstamped} of {len(rows)} messages have no stamp: the time of recording is taken",)
+    told = f"{unstamped} of {len(rows)} messages have no stamp: the time of recording is taken"
     ((world, body),) = frames
-    found = _spatial(file, kinds[topic], np.array(rows), Stated(world, body, order=True), notes)
+    found = _spatial(file, kinds[topic], np.array(rows), Stated(world, body, order=True), (told,) * bool(unstamped))
     return replace(on_plane(found, manner), transforms=tree if tree.moving else None)
 
 

@@ -223,16 +223,14 @@ def read_square(text: Text, manner: paths.Manner) -> paths.GivenPath:
         raise DataError.at(text.path, f"the header lacks REPRESENTATION ({GAUSSIAN} or {DETERMINISTIC})", line=line)
     unit = UNITS[text.one_of("TIMESTAMP_UNIT", UNITS) or "seconds"]
     stated = paths.Stated(text.said("POSE_FRAME"), text.said("BODY_FRAME"))
-    if what == DETERMINISTIC:
-        rows = numbers(text, POSE, huge=POSE[:1])
-        at = times_of(text, rows[:, 0], manner, unit=unit)
-        return path_of(text, f"{version}, {what}", at, rows, None, manner, stated=stated)
+    bare = what == DETERMINISTIC
     for key, found in zip(("TANGENT_CONVENTION", "TANGENT_ORDER"), tangent(text), strict=True):
-        if found is None:
+        if found is None and not bare:
             raise DataError.at(text.path, f"the header lacks {key}; {GAUSSIAN} needs it", line=line)
-    text.one_of("ROTATION_PARAM", ("axis_angle",))
-    rows = numbers(text, (*POSE, *TRIANGLE), huge=POSE[:1])
-    C = symmetric(rows[:, 8:], lower=True)
+    if not bare:
+        text.one_of("ROTATION_PARAM", ("axis_angle",))
+    rows = numbers(text, POSE if bare else (*POSE, *TRIANGLE), huge=POSE[:1])
+    C = None if bare else symmetric(rows[:, 8:], lower=True)
     at = times_of(text, rows[:, 0], manner, unit=unit)
     return path_of(text, f"{version}, {what}", at, rows[:, :8], C, manner, stated=stated)
 

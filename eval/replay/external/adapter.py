@@ -744,8 +744,14 @@ class Method:
     def __init__(self, loaded: Loaded) -> None:
         """Use `loaded.thing`; a class is instantiated once, without arguments, and then called."""
         self.name = loaded.name  # in tables
-        thing = loaded.thing
-        self._function = call(f"{self.name}()", thing) if isinstance(thing, type) else thing
+        self._function = call(f"{self.name}()", loaded.thing) if isinstance(loaded.thing, type) else loaded.thing
+        try:
+            inspect.signature(self._function).bind(None, None)
+        except TypeError:
+            other = f"takes {inspect.signature(self._function)}; an association method takes (expectation, gate)"
+            raise ForeignError(f"{self.name} {other}, an estimator is a class; see docs/extending.md") from None
+        except ValueError:  # compiled, without a signature
+            return
 
     def __call__(self, expectation: Expectation, gate: float | None) -> IntArray:
         """Decisions (m,): landmark number, `NEW` or `DISCARD`. Raises ForeignError: it crashed, or returned no

@@ -19,7 +19,6 @@ def table(convert):
 @pytest.mark.parametrize(
     ("text", "words", "said"),
     [
-        (GOOD, ("--odometry-sigma", "1,1", "--observation-sigma", "1,5furlong"), "unknown unit 'furlong'"),
         (GOOD, (*SIGMAS, "--columns", "speed=v"), "unknown quantity 'speed'; known: t,"),
         (GOOD, (*SIGMAS, "--columns", "odometry.t=stamp"), "no column 'stamp' (odometry.t); it has columns t, v,"),
         (GOOD, (*SIGMAS, "--unit", "time=fortnight"), "unknown unit 'fortnight'; one of s, ms,"),

@@ -7,7 +7,7 @@ import pytest
 
 from data.errors import UsageError
 from eval.replay.external import spec
-from eval.replay.external.adapter import digests, lack, load, tasks_of
+from eval.replay.external.adapter import ForeignError, Method, digests, lack, load, tasks_of
 from eval.replay.external.spec import name_of, own_or_foreign, place_of, settled, shown
 from eval.replay.settings import Setup
 
@@ -30,13 +30,17 @@ def write(tmp_path, monkeypatch):
     ("F = 3", "F", "F is an int; a class or a function is needed"),
     ("\nx = 1 / 0", "F", r"importing it raised ZeroDivisionError: division by zero \(mine.py, line 2\)"),
     ("def f(:", "F", "mine.py, line 1: invalid syntax"),
-    ("import nowhere_at_all", "F", "ModuleNotFoundError: No module named 'nowhere_at_all'"),
     ("raise SystemExit(3)", "F", "importing it raised SystemExit: 3"),
 ])  # fmt: skip
 def test_what_cannot_be_loaded_is_said_in_one_line(write, code, attribute, words):
     with pytest.raises(UsageError, match=words) as fault:
         load(write(code, attribute))
     assert "\n" not in str(fault.value)
+
+
+def test_a_function_of_other_arguments_is_no_association_method(write):
+    with pytest.raises(ForeignError, match=r"n takes \(x, P, z\); an association method takes \(expectation, gate\)"):
+        Method(load(write("def F(x, P, z): ...")))
 
 
 def test_a_module_that_is_not_there_is_said_with_where_it_was_looked_for(write, tmp_path):
