@@ -242,6 +242,7 @@ class Collected:
     # the covariance is that of the velocity along, across and of the turn
     poses: dict[str, list[Pose]] = field(default_factory=dict)
     frames: dict[str, tuple[str, str]] = field(default_factory=dict)
+    unstamped: set[str] = field(default_factory=set)  # topics of poses with stamps 0, which are times of recording then
     detections: dict[str, list[Detection]] = field(default_factory=dict)  # by topic
     cameras: dict[str, tuple[float, float, float, float]] = field(default_factory=dict)  # fx, fy, cx, cy by frame
     tree: Tree = field(default_factory=Tree)  # transforms
@@ -300,6 +301,7 @@ def _add(found: Collected, role: Role, topic: str, kind: str, message: Any, reco
             C = np.asarray(message.twist.covariance, float).reshape(6, 6)[np.ix_((0, 1, 5), (0, 1, 5))]
             pose = pose._replace(covariance=0.5 * (C + C.T))
         found.poses.setdefault(topic, []).append(pose)
+        found.unstamped |= {topic} if ros.stamp_of(message, 0.0) == 0.0 else set()
         found.frames[topic] = ros.bare(message.header.frame_id), ros.bare(getattr(message, "child_frame_id", ""))
 
 
@@ -760,16 +762,14 @@ def _by_sensor(topic: Topic, parts: Sequence[Array], wanted: Wanted) -> _Seen:
     """Points in the body frame, or directions from the camera's mean place, turned as the body is."""
     at, R, t, where, ids = parts
     order = np.argsort(at, kind="stable")
-    turned = np.einsum("nij,nj->ni", R, where)
+    turned, sigma = np.einsum("nij,nj->ni", R, where), wanted.sigma(topic.role)
     if topic.role is Role.POINTS:
         z = (turned + t)[:, :2]
-        sigma = wanted.sigma(topic.role)
         reach = 1.001 * float(np.hypot(*z.T).max())
         sensor: Sensor = RelativePoint(max_range=reach if reach > 0.0 else np.inf, label=_named(topic.name))
         covariance = np.tile(sigma**2 * np.eye(2), (len(z), 1, 1))
     else:
         z = np.column_stack([np.zeros(len(at)), np.arctan2(turned[:, 1], turned[:, 0])])
-        sigma = wanted.sigma(topic.role)
         x, y = (-t[:, :2].mean(axis=0)).tolist()
         sensor = Bearing(translation=(x + 0.0, y + 0.0), label=_named(topic.name))
         covariance = np.tile(np.diag([1.0, sigma**2]), (len(z), 1, 1))
@@ -858,7 +858,11 @@ def _truth(topics: Sequence[Topic], found: Collected, robot: str, time: Array) -
     q = np.where(pose[:, 2:] == 0.0, [0.0, 0.0, 0.0, 1.0], np.nan)  # of a turn there is no need to know it
     if not np.isnan(q).any() and unturned(q, pose[:, :2]):
         pose[:, 2] = np.nan
-    return truth_at(stamp, pose if mounted is None or not mounted.any() else se2.compose(pose, mounted), time)
+    true = truth_at(stamp, pose if mounted is None or not mounted.any() else se2.compose(pose, mounted), time)
+    if topic.name in found.unstamped and not np.isfinite(true[:, 0]).any():
+        what = f"stamps of its messages are 0, and no frame ({time[0]:.3f} to {time[-1]:.3f} s) is near the times of"
+        raise DataError(f"{topic.name}: {what} recording ({stamp[0]:.3f} to {stamp[-1]:.3f} s); stamps are needed")
+    return true
 
 
 def _prior(wanted: Wanted, first: Array, true: Array | None, fixed: Sequence[_Fixed], t0: float) -> tuple[Prior, str]:

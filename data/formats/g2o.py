@@ -313,13 +313,6 @@ def _closures(graph: Graph, ids: IntArray, used: IntArray) -> Closures | None:
     return Closures(first, last, rest.measured, covariance, np.zeros(len(rest), np.int64), (MOTION,))
 
 
-WORDS = {
-    graph_file.INFORMATION: "information",
-    graph_file.COVARIANCE: "covariance (gtsam)",
-    graph_file.ROOT: "root of the information (iSAM)",
-}
-
-
 def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
     """Notes about differences from the file."""
     notes = ["One pose has a line; the others begin where the edges put them"] if graph.file.alone else []
@@ -330,7 +323,7 @@ def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
         notes.append(f"FIX {' '.join(map(str, graph.file.fixed[:5]))}: the first pose is fixed instead")
     if graph.file.noise:
         others = " or ".join(n for n in graph_file.NOISES if n != graph.file.noise)
-        notes.append(f"The noise of text is taken as {WORDS[graph.file.noise]}; --noise {others} reads another")
+        notes.append(f"The noise of text is taken as {graph.file.noise}; --noise {others} reads another")
     notes += [f"{count} {tag} left out" for tag, count in graph.file.other.items()]
     return notes
 

@@ -3,7 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Sequence
-from itertools import zip_longest
+from itertools import pairwise, zip_longest
 from pathlib import Path
 
 from data.csv_table import is_number
@@ -73,7 +73,14 @@ def parts_of(path: Path) -> list[Path]:
 
 
 def with_word(lines: list[tuple[int, str]], word: str) -> list[tuple[int, str]]:
-    """The numbered lines with a word as a field, below a header of another kind; all without a word."""
+    """The numbered lines with a word as a field, below a header of another kind, or with COLUMN=WORD that word in that
+    column; all without a word.
+    """
+    fields = [re.split(r"\s*[,;\t]\s*|\s+", line.strip()) for _, line in lines] if "=" in word else []
+    name, _, value = word.partition("=")
+    if (top := next((k for k, row in enumerate(fields) if name in row), None)) is not None:
+        j = fields[top].index(name)
+        return [lines[top], *(pair for pair, row in zip(lines, fields, strict=True) if row[j : j + 1] == [value])]
     kept = [(i, line) for i, line in lines if not word or word in re.split(r"[\s,;]+", line.strip())]
     head = [pair for pair in lines if pair[1].strip()][:1] if word and kept else []
     return [*(pair for pair in head if pair[0] < kept[0][0] and not re.search(r"\d", pair[1])), *kept]
@@ -88,6 +95,15 @@ def kinds_of(path: Path, rows: Sequence[Sequence[str]]) -> str:
         if whole and not any(map(is_number, some)) and 1 < len(some) < len(rows) / 2:
             listed = ", ".join(f"{kind} ({kinds[kind]})" for kind in some)
             return f"; rows hold {listed[:200]}: name those of one kind, as in {path}:{some[0]}"
+    return ""
+
+
+def runs_of(path: Path, names: Sequence[str], rows: Sequence[Sequence[str]], back: Sequence[bool]) -> str:
+    """What to type where a column of rows tells runs apart: it changes where stamps go `back`, and nowhere else."""
+    for name, column in zip(names, zip(*rows, strict=True), strict=True):
+        if [a != b for a, b in pairwise(column)] == back:
+            runs = f"{sum(back) + 1} runs, whose stamps begin anew, are told apart by column {name}"
+            return f"{runs}; choose one, as in {path}:{name}={column[0]}"
     return ""
 
 

@@ -32,6 +32,7 @@ from data.terminal import counted
 
 SEPARATORS = (";", "\t", ",", " ")  # In this order, since a decimal comma is no separator beside a semicolon or a tab
 COMMENT = ("#", "%")
+DATE = re.compile(r"\d{4}-?(?:\d\d|W)")  # How dates in ISO 8601 begin
 NAMES_SHOWN = 200  # Most characters of a header in a message
 
 
@@ -106,18 +107,10 @@ def _seconds(field: str) -> float:
     return (date if date.tzinfo is not None else date.replace(tzinfo=UTC)).timestamp()
 
 
-def _parses(parse: Callable[[str], float], field: str) -> bool:
-    try:
-        parse(field)
-    except ValueError:
-        return False
-    return True
-
-
 def _is_row(fields: Sequence[str]) -> bool:
     """Whether at least half of a line's non-blank fields are numbers or dates."""
     filled = [f for f in fields if f]
-    values = sum(_parses(_number, f.replace(",", ".")) or _parses(_seconds, f) for f in filled)
+    values = sum(is_number(f.replace(",", ".")) or DATE.match(f) is not None for f in filled)
     return bool(filled) and 2 * values >= len(filled)
 
 
@@ -201,7 +194,7 @@ def read_text(path: Path) -> TextTable:
             )
             several = kinds_of(path, rows) or several
             raise DataError.at(path, f"{len(row)} fields where {width} are needed{last or several}", line=line)
-    points = any("." in f and _parses(_number, f) for row in rows[:1000] for f in row)
+    points = any("." in f and is_number(f) for row in rows[:1000] for f in row)
     comma = separator in ";\t " and any("," in f for row in rows for f in row) and not points
     shown = list(whole_names(names, rows)) if names is not None else [str(k + 1) for k in range(width)]
     for k, name in enumerate(shown):  # seconds and nanoseconds of a stamp
@@ -462,6 +455,10 @@ class Columns:
         self.notes += [note] * (note not in self.notes)
         return also[0]
 
+    def taken(self, file: TextTable, role: str, quantities: Sequence[str], truth: TextTable | None) -> bool:
+        """Whether the truth is the same table, and has the columns of these quantities of a role for its own."""
+        return truth is file and all(self.find(file, role, q) == self.find(file, "truth", q) for q in quantities)
+
     def require(self, file: TextTable, role: str, quantities: Sequence[str]) -> list[int]:
         """The columns of quantities that a file must have."""
         columns = []
@@ -623,11 +620,6 @@ def headings(values: Mapping[str, Array], unit: float = 1.0) -> Array:
         return values["theta"]
     x, y, z, w = (values[q] for q in QUATERNION)
     return np.asarray(np.arctan2(np.sign(unit) * 2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
-
-
-def shared(paths: Mapping[str, Path]) -> set[str]:
-    """Roles whose file has another role."""
-    return {r for r, p in paths.items() if list(paths.values()).count(p) > 1}
 
 
 # Values of flags, as text.

@@ -22,7 +22,7 @@ from data.formats.open_log import Recording, Samples
 from data.formats.recordings.laser import FLOOR
 from data.formats.results.path import ABSENT, COARSE, unturned
 from data.formats.second_odometry import together
-from data.formats.tables.files import QUATERNION, SCANS, SECOND, TextTable, headings, shared
+from data.formats.tables.files import QUATERNION, SCANS, SECOND, TextTable, headings
 from data.formats.tables.motion import Odometry, pose_columns, read_odometry, read_second, second_closures
 from data.formats.tables.request import LOOKS, OBSERVATIONS, SENSOR, TableSensor, Wanted
 from data.formats.tables.scans import read_scans
@@ -179,7 +179,7 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
     table, skipped = columns.table(
         file, role, (*values, *keys), optional=numbers, texts=of.looked, may_be_blank=numbers
     )
-    if skipped and role not in shared(wanted.files):
+    if skipped and list(wanted.files.values()).count(file.path) == 1:  # no other role has the file
         notes.append(f"{file.path.name}: {skipped} rows without an observation")
     for quantity, flag in LOOKS.items():
         if quantity not in of.looked and (column := columns.find(file, role, quantity)) is not None:

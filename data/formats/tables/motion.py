@@ -14,6 +14,7 @@ import numpy as np
 from data import se2
 from data.csv_table import Table, is_name
 from data.errors import DataError, UsageError
+from data.formats.messages import runs_of
 from data.formats.recordings.laser import TravelNoise, increments_of
 from data.formats.results.path import COARSE
 from data.formats.second_odometry import closures_between, covered, of_twists, own_name
@@ -110,13 +111,21 @@ class Odometry:
         return increments_of(self.motion if same else se2.interpolate(self.time, self.motion, at), noise)
 
 
-def kind_of(file: TextTable, columns: Columns, role: str) -> str:
-    """The only kind of odometry whose columns a file has; DataError for none or several."""
+def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | None = None) -> str:
+    """The only kind of odometry whose columns a file has, poses that a truth takes aside; of columns named v, omega and
+    poses velocities, which is noted. DataError for none or several.
+    """
     pose = {"poses": pose_columns(file, columns, role), "steps": ("dx", "dtheta")}
     found = [k for k, qs in KINDS.items() if columns.has(file, role, pose.get(k, qs))]
-    named = [k for k in found if columns.stated(role, KINDS[k])] or [k for k in found if {*KINDS[k]} <= {*file.names}]
+    stated = [k for k in found if columns.stated(role, KINDS[k])]
+    if len(found) > 1 and not stated and columns.taken(file, role, ("x", "y"), truth):
+        found.remove("poses")
+    named = stated or [k for k in found if {*KINDS[k]} <= {*file.names}]
     if len(named or found) == 1:
         return (named or found)[0]
+    if named == ["velocities", "poses"] and not stated:
+        columns.notes.append(f"{file.path.name}: {role} is v and omega; --{role}-kind poses reads x, y, theta instead")
+        return named[0]
     listed = "; ".join(f"{k} ({', '.join(qs)})" for k, qs in KINDS.items())
     if not found:
         what = f"no odometry: {file.described()}; one of {listed} is needed"
@@ -157,6 +166,9 @@ def read_odometry(
     if stamped and (lost := np.isnan(instants)).any():
         instants[lost] = columns.stamps(file, role, lost)
     if stamped:
+        back, rows = np.diff(time) < 0.0, [file.rows[k] for k in np.searchsorted(file.line, table.line)]
+        if back.any() and (runs := runs_of(file.path, file.names, rows, back.tolist())):
+            raise DataError.at(file.path, runs)
         table.require_ascending("t", strictly=False)
         # the last of rows with equal stamps is used: a row per observation repeats the odometry
         last = np.append(time[1:] > time[:-1], True)
@@ -191,8 +203,7 @@ def read_odometry(
         if steps[0].any():
             notes.append(f"{file.path.name}: the step of the first row precedes the log and is ignored")
     else:
-        if wheels is None:
-            raise UsageError("wheel ticks: --track-width M and --metres-per-tick M are needed")
+        assert wheels is not None  # of ticks they are stated
         pose = _rolled(table.stack(KINDS["ticks"]), wheels, time)
     return Odometry(table, time, stamped, pose, instants)
 

@@ -148,14 +148,16 @@ def sensors_of(given: Given, files: Mapping[str, TextTable], columns: Columns, k
                 raise UsageError(f"--{flag} {name}={found[name]}: {name!r} is {known}")
     texts[LENGTH] = {"": str(given[LENGTH])}
     roles = names or [role for role in (OBSERVATIONS,) if role in files]
-    taken = {role for role in roles if kind == "poses" and files[role] is files["odometry"]}
+    truth = files.get("truth")
+    taken = {role for role in roles if (kind == "poses" and files[role] is files["odometry"])
+             or columns.taken(files[role], role, ("x", "y"), truth)}  # fmt: skip
     return tuple(_sensor(r, r if names else "", texts, files[r], columns, r in taken) for r in roles)
 
 
 def _sensor(
     role: str, name: str, texts: Mapping[str, Mapping[str, str]], file: TextTable, columns: Columns, taken: bool
 ) -> TableSensor:
-    """One of them, by what is stated of it, or else of all; `taken`: x and y of its file are the odometry's."""
+    """One of them, by what is stated of it, or else of all; `taken`: x and y are the odometry's or the truth's."""
     of = {flag: found.get(name, found.get("")) for flag, found in texts.items()}
     found = [q for q in ("range", "bearing") if columns.find(file, role, q) is not None]
     stated = of.get("observation-sigma")
@@ -351,7 +353,7 @@ def settle(given: Given) -> Wanted:
             columns.given = {**columns.given, **{f"odometry.{q}": n for q, n in read_as.items()}}
             told = ",".join(f"odometry.{q}={n}" for q, n in read_as.items())
             columns.notes.append(f"inferred: --columns {told}, as which alone headings follow the motion")
-    kind = _kind(given, texts["odometry"], columns, "odometry", tuple(KINDS))
+    kind = _kind(given, texts, columns, "odometry", tuple(KINDS))
     for flag in ("hold", "integrate"):
         if flag in given and kind not in STAMPED_KINDS:
             raise UsageError(f"--{flag} {given[flag]}: for velocities; the odometry has {kind}")
@@ -378,11 +380,11 @@ def settle(given: Given) -> Wanted:
     )  # fmt: skip
 
 
-def _kind(given: Given, file: TextTable, columns: Columns, role: str, known: Sequence[str]) -> str:
+def _kind(given: Given, texts: Mapping[str, TextTable], columns: Columns, role: str, known: Sequence[str]) -> str:
     """The kind of an odometry: the stated one, else by its columns."""
     kind = given.get(f"{role}-kind")
     if kind is None:
-        return kind_of(file, columns, role)
+        return kind_of(texts[role], columns, role, texts.get("truth"))
     if kind not in known:
         raise UsageError(f"--{role}-kind {kind}: {unknown(str(kind), known)}")
     return str(kind)
@@ -456,7 +458,7 @@ def _second(given: Given, texts: Mapping[str, TextTable], columns: Columns) -> S
                 raise UsageError(f"--{flag} {given[flag]}: there is none; --{SECOND} FILE names it")
         return None
     known = [kind for kind in KINDS if kind not in ("ticks", "car")]
-    kind = _kind(given, texts[SECOND], columns, SECOND, known)
+    kind = _kind(given, texts, columns, SECOND, known)
     if kind not in known:
         what = f"{'wheel ' * (kind == 'ticks')}{kind}; {', '.join(known)} are needed, or make it the first"
         raise UsageError(f"--{SECOND} {given[SECOND]}: {what}")

@@ -196,6 +196,8 @@ def test_detections_that_nothing_mounts_on_the_robot_are_left_out_and_said(maker
         (lambda m: m.satellites(1.0, (48.0, 11.0), 1.0), (), "the first heading in the frame of the fixes is unknown"),
         (lambda m: m.pose(1.0, (0, 0, 0)), (), "/amcl_pose: messages without a covariance; --truth /amcl_pose"),
         (lambda m: m.tags(1.0, [(1, 2.0)]), ("--bearing-sigma", "1"), "in 'optical', which tf does not mount"),
+        (lambda m: (m.poses(1.0, [(2, 1)]), m.bare_pose(-START, (0, 0, 0))), ("--truth", "/mocap"),
+         "/mocap: stamps of its messages are 0, and no frame"),
     ],
 )  # fmt: skip
 def test_one_line_says_what_is_wrong(maker, convert, tmp_path, add, words, said):

@@ -94,7 +94,6 @@ def test_poses_and_readings_by_row_begin_with_the_truth_too(convert):
     (("--time-offset", "gps=1"), "--time-offset gps=1: unknown; known: odometry, observations, truth"),
     (("--time-offset", "truth"), "PART=SECONDS is needed, as in truth=-0.5"),
     (("--time-offset", "truth=soon"), "'soon' is not a number"),
-    (("--time-offset", "observations=1", "--columns", "observations.t=none"), "no column 'none'"),
     (("--hold", "sideways"), "--hold sideways: unknown; known: forward, backward"),
 ])  # fmt: skip
 def test_one_line_says_what_is_wrong(robot, table, words, said):

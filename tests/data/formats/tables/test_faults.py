@@ -32,6 +32,7 @@ def table(convert):
         (GAPS, SIGMAS, ":33: column v: -999 in 3 of 34 rows, far beyond all others, is no measurement"),
         (GOOD.replace("omega", "gyro"), SIGMAS, "no odometry: columns t, v, gyro"),
         (GOOD.replace("omega", "v"), SIGMAS, "columns 2 and 3 are named 'v'; name one by its number"),
+        (GOOD.partition("\n")[2], SIGMAS, "columns 1 to 5, without names"),
         (b"PK\x03\x04\x00\x00", SIGMAS, "not a text file"),
         ("t,v,omega,range,bearing\n0,1,0,2,0.1\n1e9,1,0,2,0.2\n", SIGMAS, "--unit time=ns"),
     ],
@@ -60,13 +61,6 @@ def test_any_way_of_writing_a_table_gives_the_same_log(table, text):
     assert r.observations.z.tolist() == [[2.0, 0.1], [2.0, 0.2], [3.0, -0.5]]
 
 
-def test_a_file_without_names_has_columns_by_number(table):
-    text = GOOD.partition("\n")[2]
-    assert "columns 1 to 5, without names" in table(text, *SIGMAS, status=2)
-    log, _ = table(text, *SIGMAS, "--columns", "t=1,v=2,omega=3,range=4,bearing=5")
-    assert len(log.recorded) == 4
-
-
 def test_dates_are_stamps(table):
     text = GOOD.replace("\n0,", "\n2024-05-01T12:00:00Z,").replace("\n1,", "\n2024-05-01T14:00:01+02:00,")
     text = text.replace("\n2,", "\n2024-05-01 12:00:02,").replace("\n3,", "\n2024-05-01T12:00:03.000,")
@@ -82,11 +76,6 @@ def test_headings_that_look_like_degrees_are_asked_about(table):
     assert "are they degrees?" in said
     assert ask(log)[0].named["flags"] == ("--unit odometry.theta=deg",)
     assert "are they degrees?" not in table("t,x,y,theta,range,bearing\n" + rows, *words, "--unit", "angle=deg")[1]
-
-
-def test_the_converter_asks_what_inspect_asks(table):
-    said = table(GOOD.replace("-0.5", "-50"), *SIGMAS)[1]
-    assert "bearings reach 50 rad: are they in degrees?" in said
 
 
 def written(path, stamps):
