@@ -72,7 +72,7 @@ def both(world, runs):
 
 def who_is_who(run, who):
     """Observations of each landmark by true id, final decisions."""
-    number = np.where(run.final_decisions == NEW, run.created, run.final_decisions)
+    number = np.where(run.final_decisions == NEW, run.initialized, run.final_decisions)
     return {n: Counter(who[number == n].tolist()) for n in np.unique(number[number >= 0]).tolist()}
 
 
