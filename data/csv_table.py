@@ -32,21 +32,13 @@ class Columns(NamedTuple):
 
 @dataclass(frozen=True)
 class Table:
-    """Columns (K,) of a file by name, NaN where blank.
+    """Columns (K,) of a file by name, NaN where blank."""
 
-    Attributes:
-        path: the file's name in errors.
-        columns: by name.
-        line: (K,) line of each row in the file.
-        unknown: names of columns that were not requested.
-        texts: columns of words, each (K,), empty where blank.
-    """
-
-    path: Path | str
-    columns: dict[str, Array]
-    line: IntArray
-    unknown: tuple[str, ...] = ()
-    texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    path: Path | str  # the file's name in errors
+    columns: dict[str, Array]  # by name
+    line: IntArray  # (K,) line of each row in the file
+    unknown: tuple[str, ...] = ()  # names of columns that were not requested
+    texts: Mapping[str, Sequence[str]] = field(default_factory=dict)  # columns of words, each (K,), empty where blank
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns

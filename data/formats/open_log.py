@@ -177,17 +177,13 @@ Table = dict[str, Sequence[Any]]  # Columns by name
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Velocities as recorded, from which a log's increments were preintegrated.
+    """Velocities as recorded, from which a log's increments were preintegrated."""
 
-    Attributes:
-        time, velocity: (K,) s, (K, 2) m/s and rad/s.
-        model: of the increments.
-        truth: stamps [s] and poses (L, 3) of the truth as recorded, NaN where unknown; None: none.
-    """
-
+    # time, velocity: (K,) s, (K, 2) m/s and rad/s
     time: Array
     velocity: Array
-    model: VelocityModel
+    model: VelocityModel  # of the increments
+    # stamps [s] and poses (L, 3) of the truth as recorded, NaN where unknown; None: none
     truth: tuple[Array, Array] | None
 
 

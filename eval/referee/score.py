@@ -57,9 +57,7 @@ class Trial:
     task: str
     runs: tuple[Run, ...]
     variant_of: str | None = None
-    """Name of the log whose table these runs join."""
     about: str = ""
-    """Description of the variant."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "log", scored(self.log))

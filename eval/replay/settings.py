@@ -135,24 +135,18 @@ TASKS = ("localization", "slam")
 
 
 class EstimatorRow(NamedTuple):
-    """One estimator of ours.
+    """One estimator of ours."""
 
-    Attributes:
-        kind: `reckoning`, `filter`, `incremental` or `batch`.
-        label: in tables and figures.
-        colour, line, marker: in figures; `line` as of `eval.figures.style`.
-        options: of a filter: of its `FilterOptions`; of a batch smoother: its `loss`; of an incremental one: its
-            `class`, and whether this takes the `lag`.
-        scans: whether it works on the key poses of scan matching, too.
-    """
-
-    kind: str
-    label: str
+    kind: str  # `reckoning`, `filter`, `incremental` or `batch`
+    label: str  # in tables and figures
+    # colour, line, marker: in figures; `line` as of `eval.figures.style`
     colour: str
     line: str
     marker: str
+    # of a filter: of its `FilterOptions`; of a batch smoother: its `loss`; of an incremental one: its `class`, and
+    # whether this takes the `lag`
     options: Mapping[str, Any] = {}
-    scans: bool = False
+    scans: bool = False  # whether it works on the key poses of scan matching, too
 
 
 ISAM2 = {"class": "graph.incremental.Isam2Smoother"}

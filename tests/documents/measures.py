@@ -184,8 +184,8 @@ def printed(name: str) -> None:
     where = {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "ROOT": str(ROOT)}
     command = ["bash", "-c", EXAMPLES[name]["command"]]
     done = subprocess.run(command, cwd=folder, env=os.environ | where, stdout=subprocess.PIPE, text=True)
-    said = json.loads(PRINTED.read_text(encoding="utf-8"))
-    text = json.dumps(said | {name: done.stdout}, indent=1, sort_keys=True, ensure_ascii=False)
+    said = json.loads(PRINTED.read_text(encoding="utf-8")) | {name: done.stdout.replace(f"{folder}/", "")}
+    text = json.dumps(said, indent=1, sort_keys=True, ensure_ascii=False)
     PRINTED.write_text(text + "\n", encoding="utf-8")
 
 

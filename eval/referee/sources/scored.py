@@ -68,45 +68,37 @@ def has_sources(inputs: Inputs) -> bool:
 
 @dataclass(frozen=True)
 class SourceScore:
-    """What a run did with a source in a phase: a row of sources.csv, and why it may deserve a notice.
-
-    Attributes:
-        count, used: measurements of the source, and those that were accepted.
-        nis_mean, nis_dof: of the accepted ones per degree of freedom, and their degrees of freedom; NaN, 0: none.
-        expected, variance: of NIS per degree of freedom, behind the gate.
-        nis_low, nis_high: 95 % bounds; NaN: none, as after all data.
-        verdict: a word on the innovations; empty: none.
-        lag1, lag1_se: correlation of successive innovations and its standard error; NaN: too few.
-        gate: chi-square probability of the gate; None: no gate.
-        outlying: accepted ones that contradict all others, each surely (`SURE` for the source).
-        formed: accepted and rejected ones at their turn; those not formed cannot be rejected.
-        dof, largest: degrees of freedom of one, and largest NIS of those formed.
-        log_chance: logarithm of the probability of a larger one among so many; NaN: none.
-        tp, tn, fp, fn: inliers accepted, outliers rejected, outliers accepted, inliers rejected; None: no truth,
-            or none was decided about.
-    """
+    """What a run did with a source in a phase: a row of sources.csv, and why it may deserve a notice."""
 
     source: str
     kind: str
     phase: str
+    # count, used: measurements of the source, and those that were accepted
     count: int
     used: int
+    # nis_mean, nis_dof: of the accepted ones per degree of freedom, and their degrees of freedom; NaN, 0: none
     nis_mean: float = math.nan
     nis_dof: int = 0
+    # expected, variance: of NIS per degree of freedom, behind the gate
     expected: float = 1.0
     variance: float = 2.0
+    # nis_low, nis_high: 95 % bounds; NaN: none, as after all data
     nis_low: float = math.nan
     nis_high: float = math.nan
-    verdict: str = ""
+    verdict: str = ""  # a word on the innovations; empty: none
+    # lag1, lag1_se: correlation of successive innovations and its standard error; NaN: too few
     lag1: float = math.nan
     lag1_se: float = math.nan
-    gate: float | None = None
-    formed: int = 0
+    gate: float | None = None  # chi-square probability of the gate; None: no gate
+    formed: int = 0  # accepted and rejected ones at their turn; those not formed cannot be rejected
+    # TP, TN, FP, FN: inliers accepted, outliers rejected, outliers accepted, inliers rejected; None: no truth, or none
+    # was decided about
     outcomes: tuple[int, int, int, int] | None = None
-    outlying: int = 0
+    outlying: int = 0  # accepted ones that contradict all others, each surely (`SURE` for the source)
+    # dof, largest: degrees of freedom of one, and largest NIS of those formed
     dof: int = 0
     largest: float = math.nan
-    log_chance: float = math.nan
+    log_chance: float = math.nan  # logarithm of the probability of a larger one among so many; NaN: none
 
 
 def score_source(run: Run, source: Source, phase: str, truth: Truth | None = None) -> SourceScore:

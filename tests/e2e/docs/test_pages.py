@@ -53,6 +53,7 @@ def test_measured_numbers_stand_on_the_pages_as_make_docs_writes_them():
     pages = measured.pages()
     assert {page.name for page in pages} >= {"README.md", "results.md"}
     assert [page.name for page, text in pages.items() if page.read_text(encoding="utf-8") != text] == []
+    assert not re.findall(r"[\s\"']/\w+/", measured.PRINTED.read_text(encoding="utf-8")), "a folder of a machine"
     with pytest.raises(ValueError, match="0 times, not once"):
         measured.written("a 1.5 m b", "a {x.y:.1f} m c", {"x": {"y": 2.0}})
     assert measured.written("a 1.5 m b", "a {x.y:.1f} m", {"x": {"y": -2.0}}) == "a −2.0 m b"

@@ -61,19 +61,12 @@ class Taken(NamedTuple):
 
 
 class Online(ABC):
-    """An online estimator.
+    """An online estimator."""
 
-    Attributes:
-        name, association: as in a replay.
-        title: both, where the association is not that of the others.
-        failure: why it ended; empty while it runs.
-        smooths: whether it is a smoother.
-    """
-
-    name: str
+    name: str  # as in a replay
     association: str
-    title: str
-    failure = ""
+    title: str  # both, where the association is not that of the others
+    failure = ""  # why it ended; empty while it runs
     smooths: bool
 
     def take(self, frame: Frame, scan: Scan | None = None) -> Step | None:
