@@ -267,6 +267,7 @@ CREEP, CLOSE_BY = 5e-3, 0.1  # m/s and m: no robot is slower that sees no farthe
 INCHES, CENTIMETRES = 63.0, 300.0
 """Multiples of the stated noise by which ranges change otherwise than predicted: above the first lengths are in inches,
 above the second in cm, above the third in mm, as the noise is in m."""
+UNWRAPPED = 3.0 * math.pi  # rad, a direction of half a turn less a heading of one: bearings that were not wrapped
 TURN = FASTEST = 2.0 * math.pi  # rad; rad/s: all recordings and worlds turn at most 1.7 rad in a second
 SHARE = 0.01  # Smallest share of turning seconds above `FASTEST`: a single slip or jump raises no question
 
@@ -306,7 +307,7 @@ def _by_size(x: Examination) -> list[Explained]:
             if len(turn) == len(c.time) - 1 and (rate := fastest(c.time, turn)):
                 return _told(Kind.UNIT, of, SIZE, rate, DEG * rate, "deg/s" if of == "omega" else "deg", 1.0)
     largest = float(np.abs(c.z[:, 1]).max(initial=0.0))
-    wide = largest > TURN * (1.0 + 1e-6)
+    wide = largest > UNWRAPPED * (1.0 + 1e-6)
     return _told(Kind.UNIT, "bearing", SIZE, largest, DEG * largest, "deg", 1.0) if wide else []
 
 
@@ -409,13 +410,14 @@ def _strange(x: Examination) -> list[Explained]:
     bare = replace(c, id=None)
     plain = Examination(bare, witnesses.samples(bare))
     moves, true, mapped = "observations and odometry", "observations and truth", "observations and map"
+    right = any(f is not None and f.off < NEAR for f in x.said[true])  # which tells ids better than a noisy odometry
     # of the map alone its ids are judged by those that agree as the robot moves
     for of, name, k, others in (
         ("ids", moves, 0, plain.said[moves]), ("ids", true, 0, plain.said[true]),
         ("ids of the map", true, 1, plain.said[true]), ("ids of the map", mapped, 0, x.said[moves]),
     ):  # fmt: skip
         stated, fits = ([*fits, None, None][min(k, len(fits))] for fits in (x.said[name], others))
-        if stated is None or fits is None or stated.off <= max(LEFT * stated.noise, ALIEN):
+        if stated is None or fits is None or stated.off <= max(LEFT * stated.noise, ALIEN) or (right and name == moves):
             continue
         if fits.off < (max(NEAREST, LEFT * fits.noise) if of == "ids" else NEAR):
             return _told(Kind.STRANGE, of, name, stated.off, fits.off, gain=stated.cost - fits.cost)
