@@ -107,11 +107,13 @@ def test_a_broken_bag_is_named(form, tmp_path):
         assert "\n" not in str(raised.value)
 
 
-def test_without_a_topic_of_odometry_the_moving_transform_is_it(tmp_path):
+@pytest.mark.parametrize("below", ["odom", "base_footprint"])
+def test_without_a_topic_of_odometry_the_moving_transform_is_it(below, tmp_path):
     made = Maker("mcap")
     made.mounting("base_link", "laser", 0.25, 0.0, 0.0)
     for t in LEVEL.tolist():
-        made.transform(t, "odom", "base_link", (t, 0.0, 0.1 * t))
+        made.transform(t, "odom", "base_footprint", (1e-9 * t, 0.0, 0.0))
+        made.transform(t, below, "base_link", (t, 0.0, 0.1 * t))
         made.transform(t, "map", "odom", (0.5, 0.0, 0.0))
     made.scan(0.75, [1.0, 2.0, 3.0])
     made.scan(2.25, [1.0, 2.0, 3.0])
