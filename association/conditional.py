@@ -83,9 +83,7 @@ def _given_others(nu: Array, L: Array, innovation: Array, information: Array) ->
 
 
 def prune(e: Expectation, decisions: IntArray, gate: float | None, share: float = 1.0) -> IntArray:
-    """Decisions (m,) without the pairings that lie outside `gate` (2 dof) given the others, removed worst first.
-    `share`: see `jcbb_conditional`.
-    """
+    """Decisions (m,) without pairings outside `gate` (2 dof) given the others; `share`: see `jcbb_conditional`."""
     threshold, kept = e.threshold(gate), decisions.copy()
     while True:
         rows, chosen = e.paired(kept)

@@ -46,9 +46,7 @@ def _chi2(probability: float, dof: int) -> float:
 
 
 def threshold_with(gate: float | None, dims: int, pairs: int, right: Evidence) -> float:
-    """Squared distance that right pairings, of `dims` numbers each and with appearance, stay below together with
-    probability `gate`; None: infinite.
-    """
+    """Squared distance below which right pairings of `dims` numbers stay together with probability `gate`."""
     dof = (dims + right.dims) * pairs
     if not right.error or gate is None or not 0.0 < gate < 1.0:
         return gate_threshold(gate, dof)
@@ -57,9 +55,7 @@ def threshold_with(gate: float | None, dims: int, pairs: int, right: Evidence) -
 
 @lru_cache(maxsize=4096)
 def _with_misreadings(probability: float, dof: int, pairs: int, error: float, cost: float) -> float:
-    """Quantile of a chi-square variable plus `cost` for each of `pairs` classes that is misread, with probability
-    `error`.
-    """
+    """Quantile of a chi-square variable plus `cost` for each of `pairs` classes misread with probability `error`."""
     wrong = np.arange(pairs + 1)
     share = scipy.stats.binom.pmf(wrong, pairs, error)
 

@@ -46,9 +46,7 @@ class FixSource:
 
 @dataclass(frozen=True, eq=False)
 class _Known(Locked):
-    """Measurements of a log that are known at one frame each, ascending, or some of them. row: (K,) of each in the log;
-    left out: they are all of it.
-    """
+    """Measurements of a log, each known at one frame, ascending; row (K,): of each in the log, None: all are here."""
 
     row: IntArray = field(default_factory=lambda: np.empty(0, np.int64), kw_only=True)
 

@@ -91,9 +91,7 @@ def transform_points(T_wb: Array, points_b: Array) -> Array:
 
 
 def rigid_fit(body: Array, world: Array) -> Array:
-    """Pose (3,) of the frame of points `body` (M, 2) whose world positions are `world` (M, 2). Least squares (Umeyama
-    1991, without scale).
-    """
+    """Pose (3,) of the frame of points `body` (M, 2) at `world` (M, 2), by least squares (Umeyama 1991, no scale)."""
     body_mean, world_mean = body.mean(axis=0), world.mean(axis=0)
     b, w = body - body_mean, world - world_mean
     theta = math.atan2(float(np.sum(b[:, 0] * w[:, 1] - b[:, 1] * w[:, 0])), float(np.sum(b * w)))

@@ -392,9 +392,7 @@ class EachSensor:
     which: IntArray
 
     def _each(self, name: str, *arrays: Array, locating: bool = False) -> Any:
-        """A method of the sensors, of rows of arrays (m, ...), gathered again by row; `locating`: NaN where an
-        observation does not locate its landmark.
-        """
+        """A method of the sensors on rows of arrays; `locating`: NaN where an observation locates no landmark."""
         out: list[Array] = []
         for i, sensor in enumerate(self.sensors):
             rows = np.flatnonzero(self.which == i)

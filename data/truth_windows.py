@@ -103,9 +103,7 @@ def bad_truth(log: Log) -> tuple[BadTruth, ...]:
 
 
 def leaps(truth: Array, other: Array) -> list[tuple[int, int]]:
-    """First and last rows of true poses (n, 3) that leap away from where another path (n, 3) of the same stamps goes,
-    and come back; NaN rows are unknown.
-    """
+    """First and last rows of true poses (n, 3) that leap away from another path (n, 3) and come back; NaN: unknown."""
     known = np.flatnonzero(np.isfinite(np.hstack([truth, other])).all(axis=1))
     return _Steps(known, truth, other, np.zeros(3)).excursions() if len(known) > FEWEST else []
 
@@ -307,9 +305,7 @@ class _Steps:
     """Differences of increments of the truth, between frames with a true pose, and of the odometry."""
 
     def __init__(self, known: IntArray, pose: Array, odometry: Array, stated: Array) -> None:
-        """Frames (n,) with a true pose; poses and dead reckoning (N, 3); sigmas (3,). Leaps and spins are unusual for
-        the truth.
-        """
+        """Frames (n,) with a true pose; poses and dead reckoning (N, 3); sigmas (3,)."""
         self.known, self.pose, self.odometry = known, pose, odometry
         self.true = se2.between(pose[known[:-1]], pose[known[1:]])
         self.driven = se2.between(odometry[known[:-1]], odometry[known[1:]])
@@ -356,9 +352,7 @@ class _Steps:
         return found
 
     def _back(self, i: int, k: IntArray, *, still: bool = False) -> BoolArray:
-        """Whether the truth after each of steps (K,) agrees with the odometry from before step `i` on; `still`: that is
-        none.
-        """
+        """Whether the truth after steps (K,) agrees with the odometry from before step `i` on; `still`: with none."""
         a, b = self.known[i], self.known[k + 1]
         rest = se2.between(se2.between(self.odometry[a], self.odometry[b]), se2.between(self.pose[a], self.pose[b]))
         far, turn, left = (np.hypot(*self.off[k, :2].T), np.abs(self.off[k, 2]), np.hypot(*rest[:, :2].T))

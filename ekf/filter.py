@@ -172,9 +172,7 @@ class Filter:
         return self._absorb(pose_updates.of_fixes(self._frame, fixes, sources), gate)
 
     def close_loops(self, closures: Closures, gate: float | None) -> PoseUpdated:
-        """Update with relative poses, one after another; those outside the gate are not used. Nor are those of a frame
-        whose pose is not in the state.
-        """
+        """Update with relative poses in turn, but those outside the gate or of a frame that is not in the state."""
         return self._absorb(pose_updates.of_closures(self._frame, closures, self._clones.now), gate)
 
     def _absorb(self, measured: Sequence[MeasurementModel], gate: float | None) -> PoseUpdated:
@@ -255,9 +253,7 @@ class Filter:
     def _expect(
         self, observations: FrameObservations, number: IntArray, at: IntArray, known: Array, pose: Array | None = None
     ) -> Expectation:
-        """Expectation of candidates at state offsets `at`, or in `known` where negative, linearized at the mean or
-        `pose`.
-        """
+        """Expectation of candidates at state offsets `at`, or in `known` where negative, about the mean or `pose`."""
         n, m = len(number), len(observations.z)
         z_hat, blocks = np.empty((n, 2)), np.empty((n, 2, 2))
         version, state = self._version, self._mean if pose is None else self._state_at(pose)

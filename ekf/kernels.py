@@ -134,9 +134,7 @@ def measure_landmark(
     kind: int, extrinsic: Array, mean: Array, a: int, x: float, y: float, first: Array, z_hat: Array, Hx: Array,
     Hl: Array,
 ) -> None:  # fmt: skip
-    """`measure` a landmark at offset `a` of the state, or the known one (x, y) where a < 0; Jacobians at `first` if
-    given.
-    """
+    """`measure` a landmark at offset `a` of the state, or at (x, y) where a < 0; Jacobians at `first` if given."""
     if a >= 0:
         x, y = mean[a], mean[a + 1]
     measure(kind, extrinsic, mean, x, y, z_hat, Hx, Hl)

@@ -50,9 +50,7 @@ class EkfLocalizer(Filter):
         self, prior: Prior, sensor: Sensor, known: LandmarkMap, options: FilterOptions = DEFAULT, *,
         systematic: Systematic | None = None,
     ) -> None:  # fmt: skip
-        """Start at the prior; `systematic`: errors to estimate. Raises ValueError for an uncertain map beside a range
-        error, or of walls.
-        """
+        """Start at the prior. Raises ValueError for an uncertain map beside a range error, or of walls."""
         super().__init__(prior, sensor, options, systematic)
         self.map, self.within = known, math.inf  # within: squared distance beyond which `expect` may omit landmarks
         self._places = Places(known.xy)

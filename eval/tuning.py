@@ -192,9 +192,7 @@ def stated_groups(text: str, inputs: Inputs, odometry: Odometry | None) -> tuple
 
 
 def vector(model: Model, values: Mapping[str, float]) -> Array:
-    """Parameters (n,) from values by name (`Parameter.value`); others stay as stated. Raises UsageError for a name that
-    this log has no parameter for.
-    """
+    """Parameters (n,) from values by name (`Parameter.value`), others as stated. UsageError for an unknown name."""
     names = [p.name for p in model.parameters]
     for name in values:
         if name not in names:

@@ -73,9 +73,7 @@ def parts_of(path: Path) -> list[Path]:
 
 
 def with_word(lines: list[tuple[int, str]], word: str) -> list[tuple[int, str]]:
-    """The numbered lines with a word as a field, below a header of another kind, or with COLUMN=WORD that word in that
-    column; all without a word.
-    """
+    """The numbered lines with a field `word`, or by COLUMN=WORD with that word in that column; "": all."""
     fields = [re.split(r"\s*[,;\t]\s*|\s+", line.strip()) for _, line in lines] if "=" in word else []
     name, _, value = word.partition("=")
     if (top := next((k for k, row in enumerate(fields) if name in row), None)) is not None:

@@ -18,9 +18,7 @@ SILENT = slice(6, 10)  # frames that see nothing, in the log with empty frames
 
 
 class Small(NamedTuple):
-    """A small world: its size, and standard deviations of a position or step [m], a heading or turn [rad], and of
-    observations.
-    """
+    """A small world: its size, and sigmas of a position or step [m], a heading or turn [rad], and of observations."""
 
     size: float
     position: float

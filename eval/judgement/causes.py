@@ -59,9 +59,7 @@ def terms_of(inputs: Inputs) -> Terms:
 
 
 def explanations(findings: Sequence[Finding], terms: Terms) -> tuple[Finding, ...]:
-    """Findings whose size is known, in a person's units and in their order; an estimator's phases share the one that
-    is furthest off.
-    """
+    """Findings of known size in a person's units, in their order; of an estimator's phases the furthest off."""
     shown: dict[tuple[str, str], Finding] = {}
     for f in (f for f in findings if math.isfinite(f.size)):
         same = shown.get((f.kind, f.name))
@@ -111,9 +109,7 @@ ODOMETRY, SENSOR = "odometry", "sensor"
 
 
 def cause_word(trust: Trust) -> str:
-    """The violated assumption, of a noise the side whose component it is of; without replicates what is indicated. A
-    smoother that failed tells nothing.
-    """
+    """The violated assumption (of noise, its side), or what is indicated without replicates; "": a smoother failed."""
     blame = trust.blame
     if blame is None and not trust.real.failures.keys().isdisjoint((PLAIN, STAND_IN)):
         return UNTELLABLE

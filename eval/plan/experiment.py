@@ -1,6 +1,4 @@
-"""An experiment: a log, a task, and the estimators of each association method; checked, estimated, and lost if there is
-no memory for it.
-"""
+"""An experiment: a log, a task, the estimators of each association method; its parts, and what is lost of them."""
 
 from __future__ import annotations
 
@@ -33,9 +31,7 @@ class Work:
     estimators: tuple[str, ...]
 
     def parts(self) -> tuple[Work, ...]:
-        """Parts to do in parallel: iSAM2 and foreign estimators (slow) alone, batch with its front end. Scans are
-        matched once for all estimators.
-        """
+        """Parts to do in parallel: iSAM2 and foreign ones (slow) alone, batch with its front end."""
         if self.association == SCAN:
             return (self,)
         apart: list[tuple[str, ...]] = [(e,) for e in self.estimators if e == "fixed-lag" or is_foreign(e)]
@@ -138,9 +134,7 @@ def load_all(estimators: Sequence[str], associations: Sequence[str]) -> None:
 
 
 def introduce_all(texts: Iterable[str], results: Sequence[str] = ()) -> None:
-    """Give every foreign name its own line style; `results` as NAME=FILE. Raises UsageError for a result with the name
-    of a foreign estimator.
-    """
+    """Give every foreign name a line style. UsageError for one of `results` (NAME=FILE) with an estimator's name."""
     named = {name_of(text): text for text in texts if is_foreign(text)}
     handed_in = [text.partition("=")[0] for text in results]
     for name in handed_in:

@@ -152,9 +152,7 @@ UNITS = (tuple(DIGITS), ("rad", "deg"), tuple(LENGTH))  # of stamps, angles and 
 def _of(
     flag: str, values: Sequence[str], name: str, names: Sequence[str], known: Sequence[str] = (), *, alone: bool = False
 ) -> str | None:
-    """The value of a flag for a name, one of those `known`. `alone`: a value without a name is for the only result,
-    never for the truth.
-    """
+    """A flag's value for a name of `known`; `alone`: one without a name is for the only result, never the truth."""
     own, common = [], []
     for text in values:
         who, equals, value = text.partition("=")

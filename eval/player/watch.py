@@ -107,9 +107,7 @@ class Watch(Writing):
         self._methods = np.full((len(inputs.observations.frame), len(METHODS)), NOT_ASKED, np.int64)
 
     def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
-        """Record candidates, distances, and decisions of each method, where the estimator gives an expectation without
-        side effects.
-        """
+        """Record candidates, distances and every method's decisions, where the expectation has no side effects."""
         begin = time.perf_counter()
         self._looked = front.k
         e = pairing.expectation

@@ -19,9 +19,7 @@ SEED = 0
 
 
 def rank_p(value: float, twins: Array) -> float:
-    """Two-sided p value of a statistic by its rank among its twins (N,); NaN without any. p = min(1, 2 min(1 + #{T* >=
-    T}, 1 + #{T* <= T}) / (N + 1)).
-    """
+    """Two-sided p value by rank among twins (N,), or NaN: min(1, 2 min(1 + #{T* >= T}, 1 + #{T* <= T}) / (N + 1))."""
     known = twins[np.isfinite(twins)]
     if not len(known) or not math.isfinite(value):
         return math.nan

@@ -102,9 +102,7 @@ def squares(error: Array, covariance: Array) -> Array:
 
 
 def squared_distance(error: Array, covariance: Array) -> Array:
-    """Squared distance e' P^-1 e (N,) of errors (N, k) and covariances (N, k, k). NaN where the correlation matrix of P
-    has an eigenvalue below 1e-12.
-    """
+    """Squares e' P^-1 e (N,), e (N, k), P (N, k, k); NaN if P's correlation has an eigenvalue below 1e-12."""
     result = np.full(len(error), np.nan)
     positive = (np.einsum("nii->ni", covariance) > 0).all(axis=1)
     rows = np.flatnonzero(np.isfinite(error).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2)) & positive)

@@ -25,9 +25,7 @@ DELAYS, MOUNT = ("latency", "latency_growth"), ("mount_x", "mount_y")
 
 
 class Effect(NamedTuple):
-    """Derivative of the increments (N, 3), the observations (M, 2), the fixes (F, 3) or the closures (K, 3) with
-    respect to a systematic error.
-    """
+    """Derivatives of increments (N, 3), observations (M, 2), fixes (F, 3), closures (K, 3) by a systematic error."""
 
     name: str
     motion: Array | None = None
@@ -150,9 +148,7 @@ def poses_of(inputs: Inputs, used: Used, hypotheses: Sequence[Effect] = ()) -> O
 
 
 def without(inputs: Inputs, path: Array, used: Used, sizes: Mapping[str, float]) -> Inputs:
-    """The inputs without systematic errors of these sizes, linearized at a smoothed path (N, 3); delays and a displaced
-    sensor exactly.
-    """
+    """The inputs without errors of these sizes, linear about a path (N, 3); delays and displaced sensors exactly."""
     exact = (*DELAYS, *MOUNT) if inputs.sensor.sees_points else ()
     found = [e for e in effects(inputs, path, used) if e.name in sizes and e.name not in exact]
     motion, observations = _columns(inputs, found)

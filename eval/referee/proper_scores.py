@@ -72,9 +72,7 @@ def _known(error: Array, covariance: Array) -> BoolArray:
 
 
 def mean_scores(pose: Array, covariance: Array, truth: Array, scored: BoolArray) -> dict[str, float]:
-    """Mean scores of a trajectory by column of metrics.csv, empty if no frame is scored. `scored` (N,): frames with
-    truth and an invertible covariance.
-    """
+    """Means by column of metrics.csv over frames `scored` (N,), with truth and invertible covariance; empty: none."""
     if not scored.any():
         return {}
     error, P = se2.pose_error(pose[scored], truth[scored]), covariance[scored]

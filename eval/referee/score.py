@@ -112,9 +112,7 @@ def nis_of(run: Run, phase: str) -> tuple[float, int] | None:
 
 
 def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Along | None = None) -> dict[str, object]:
-    """One row of metrics.csv. `reference` is the batch smoother with labels on this log; `path` are the run's errors,
-    if they are known already.
-    """
+    """One row of metrics.csv; `reference`: batch with labels on this log, `path`: the run's errors, if known."""
     own, log = log, log_of(run, log)
     row: dict[str, object] = {**_key(run, log, phase), "status": run.status, "frames": len(log.recorded)}
     row["observations"] = len(log.recorded.observations.frame)

@@ -86,9 +86,7 @@ def columns_in_space(both: in_space.InSpace) -> dict[str, float]:
 
 
 def _parts(world: Errors) -> dict[str, float]:
-    """Of each axis RMS error, RMS standard deviation, share of errors inside 3 sigma (expected 0.9973), and CRPS; log
-    score of the pose [nats].
-    """
+    """By axis: RMS error and sigma, share inside 3 sigma (0.9973 expected), CRPS; log score of the pose [nats]."""
     axes, each = dict[str, float](), dict[str, float]()
     variance = np.einsum("nii->ni", world.covariance)
     for k, axis in enumerate(AXES):

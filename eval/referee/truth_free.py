@@ -160,9 +160,7 @@ def _of_source(scored: SourceScore, key: str) -> dict[str, Statistic]:
 
 
 def of_smoother(run: Run, inputs: Inputs) -> dict[str, Statistic]:
-    """Statistics of a batch smoother's run, corrected for the systematic errors that it estimated: of its cost,
-    residuals, and slopes of systematic errors.
-    """
+    """Of a batch smoother, without systematic errors that it estimated: of cost, residuals, slopes of such errors."""
     assert run.final is not None
     path = run.final.pose
     result = _nis(run, "final")

@@ -228,9 +228,7 @@ NO_RANGE_ERROR = (
 def lack_with_sensor(
     name: str, task: str, association: str, given: Given, options: FilterOptions | None = None
 ) -> str | None:
-    """Why an estimator with an association method cannot use these sensors, or their map; None if it can. `options`
-    replace those of a filter's name.
-    """
+    """Why an estimator cannot use these sensors or their map, or None; `options` replace those of a filter's name."""
     sensors = given.sensors or (given.sensor,)
     if association == HINDSIGHT and (len(sensors) > 1 or not given.sensor.locates):
         return NO_HINDSIGHT_OF_SEVERAL

@@ -125,9 +125,7 @@ class Parking:
     def __init__(
         self, estimator: Estimator, can: dict[str, Able], management: MapManagement, sensor: Sensor, within: float
     ) -> None:
-        """No method considers landmarks beyond the squared distance `within` of every observation. Raises CannotError
-        for an estimator that cannot park.
-        """
+        """`within`: squared distance beyond which no method considers landmarks. CannotError: it cannot park."""
         self.estimator, self._state = estimator, can.get("size")
         self.parkable = needed(can.get("park"), "`park`, `restore`, `parked_xy` and `parked`", "--deactivate-after")
         self.management, self.sensor, self.within = management, sensor, within

@@ -97,9 +97,7 @@ def step_by_step(
     name: str, inputs: Inputs, task: str, association: str = "known", setup: Setup = PLAIN, *,
     options: FilterOptions | None = None, finish: bool = True, observer: Observer = NULL_OBSERVER,
 ) -> Run:  # fmt: skip
-    """Any step-by-step estimator with any association method; `finish=False` skips the final phase. `observer` sees
-    every stage.
-    """
+    """Any estimator, step by step; `finish=False`: without the final phase. `observer` sees every stage."""
     _check_granted(inputs, association)
     setup = setup.settled(inputs.labels_are_sensed)
     if not setup.appearance:
@@ -144,9 +142,7 @@ def through(
     front: FrontEnd, frame: Frame, used: Callable[[Frame, IntArray, Updated], None], *,
     observer: Observer = NULL_OBSERVER,
 ) -> None:  # fmt: skip
-    """One frame through a front end, from a log or a driving robot. `used` gets (each part of) the frame with its
-    decisions and the result of the update.
-    """
+    """One frame through a front end, of a log or a live robot; `used` gets it (in parts) with decisions and result."""
     front.move(frame)  # predict
     observe(observer.moved, front)
     front.use_poses(frame)  # update with fixes and closures

@@ -125,9 +125,7 @@ def sample(run: Run, phase: str, log: Log, scenario: Scenario) -> Sample:
 
 
 def _errors(found: Systematics | None, truth: Systematics | None) -> dict[str, float]:
-    """Squared error of each systematic error at the last frame over its variance; worlds without truth have errors of
-    zero.
-    """
+    """Squared error of each systematic error at the last frame over its variance; of no truth, errors are zero."""
     if found is None:
         return {}
     true = {} if truth is None else dict(zip(truth.names, truth.mean[-1].tolist(), strict=True))

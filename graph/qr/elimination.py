@@ -91,9 +91,7 @@ def _separators(ends: IntArray, size: int) -> tuple[IntArray, list[set[int]]]:
 
 
 def _postorder(parent: IntArray) -> IntArray:
-    """Place (V,) of each position among all with children before their parents, subtree by subtree. A parent (V,) comes
-    after its children, -1 for a root.
-    """
+    """Place (V,) of each position, children before parents, subtree by subtree; parent (V,) > child, -1: root."""
     n, above = len(parent), parent.tolist()
     size, new = [1] * (n + 1), [0] * (n + 1)  # of subtrees, and places; -1, the last one, is above the roots
     for v, p in enumerate(above):

@@ -100,9 +100,7 @@ def _roles(factors: dict[int, gtsam.NonlinearFactor]) -> dict[int, str]:
 
 
 def origin_of(factor: gtsam.NonlinearFactor) -> Origin:
-    """Of a factor's noise: a sigma of 1 for angles and lengths alike, of a file's points, or of unknown residuals, is
-    assumed.
-    """
+    """Of a factor's noise: assumed if sigma 1 serves angles and lengths, a file's points, or unknown residuals."""
     unit = isinstance(plain_noise(factor)[0], gtsam.noiseModel.Unit)
     mixed = isinstance(factor, gtsam.CustomFactor) or any(n in type(factor).__name__ for n in MIXED)
     return Origin.ASSUMED if unit and mixed else Origin.STATED

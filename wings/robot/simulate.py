@@ -36,9 +36,7 @@ class Terminal:
     """A pseudo-terminal with a symbolic link to the end that serves as serial device; `with` removes it."""
 
     def __init__(self, path: Path) -> None:
-        """Open it; UsageError where the path cannot become a link. A link to a terminal is replaced: a simulator that
-        was killed leaves it behind.
-        """
+        """Open it; UsageError if impossible. A link to a terminal is replaced: a killed simulator leaves it behind."""
         self._path = path
         self.master, self._slave = os.openpty()
         tty.setraw(self._slave)

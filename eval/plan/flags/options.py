@@ -21,9 +21,7 @@ NOT_WITH_TEAM = ("data", "scenario", "result", "truth", "calibrate", "twins")
 
 
 def read_options(argv: Sequence[str] | None = None, prog: str = PROG, positional: str = "log") -> Options:
-    """Options from the command line and its config files; UsageError for invalid ones. Positional words are values of
-    the flag `positional`.
-    """
+    """Options from command line and config files, UsageError if invalid; positional words are values of a flag."""
     given = vars(parser(prog, positional).read(argv))
     words = given.pop("words")
     if words and TABLE[positional].repeatable:

@@ -407,9 +407,7 @@ def _late_by(time: Array, ours: Array, there: Array, theirs: Array) -> tuple[flo
 
 
 def _first_is_w(path: GivenPath) -> bool:
-    """Whether rotations are about x alone on level ground, as those about z are whose quaternions were written w first
-    and read w last.
-    """
+    """Whether rotations are about x alone on level ground, as quaternions about z with w first are, read w last."""
     s = path.space
     if s is None or len(s) < FEW or s.stated.axes or not np.isfinite(s.rotation).all():  # matrices, or no headings
         return False

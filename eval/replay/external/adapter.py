@@ -69,9 +69,7 @@ _FILES: dict[tuple[str, str], ModuleType] = {}  # modules by path and content, s
 
 
 def text_of(what: str | Thing, kind: str) -> str:
-    """A name of ours, a settled text, any other text settled, or a text for an object of this process. Other processes
-    cannot load such an object.
-    """
+    """A name of ours, a settled text, any other settled, or a text for an object, which this process alone can load."""
     if isinstance(what, str):
         return what if what in _LIVE or not is_foreign(what) else settled(kind, what, kind)
     name = getattr(what, "__name__", type(what).__name__)
@@ -93,9 +91,7 @@ def adopt(found: Mapping[str, Loaded]) -> None:
 
 
 def load(text: str) -> Loaded:
-    """The class or function that a settled text names. Raises UsageError: it cannot be imported, there is no such
-    attribute, or it cannot be called.
-    """
+    """The class or function that a settled text names. UsageError: not importable, no such attribute, not callable."""
     if text in _LIVE:
         return _LIVE[text]
     place = place_of(text)
@@ -397,9 +393,7 @@ def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, create
 
 
 def pose_updated_of(who: str, given: Any, dof: IntArray) -> PoseUpdated:
-    """The result of an update with fixes or closures (f,) of these degrees of freedom. What is not stated: all were
-    used, innovations are not known.
-    """
+    """The result with fixes or closures of `dof` (f,); unless stated, all were used and innovations are not known."""
     stated, done = _stated(who, given, PoseUpdated), not_used(dof)
     done.used[:] = _used(who, stated, len(done.used))
     for name, field in (("nis", done.nis), ("white", done.white), ("S", done.S)):
@@ -697,9 +691,7 @@ def tasks_of(loaded: Loaded) -> tuple[str, ...]:
 
 
 def lack(text: str, task: str, association: str, setup: Setup) -> str | None:
-    """Reason why a foreign estimator cannot do a run, in a sentence; None if it can. `association` is a name of ours,
-    or any other text.
-    """
+    """Why a foreign estimator cannot do a run, a sentence, or None; `association`: a name of ours, or another text."""
     loaded = load(text)
     tasks = tasks_of(loaded)
     if task not in tasks:
@@ -737,9 +729,7 @@ def require(text: str, task: str, association: str, setup: Setup) -> None:
 
 
 class Method:
-    """A foreign association method; `NEW` founds a landmark only outside the gate of new ones, as with our plain
-    methods.
-    """
+    """A foreign association method; `NEW` founds a landmark only outside the gate of new ones, as plain methods do."""
 
     def __init__(self, loaded: Loaded) -> None:
         """Use `loaded.thing`; a class is instantiated once, without arguments, and then called."""
@@ -754,9 +744,7 @@ class Method:
             return
 
     def __call__(self, expectation: Expectation, gate: float | None) -> IntArray:
-        """Decisions (m,): landmark number, `NEW` or `DISCARD`. Raises ForeignError: it crashed, or returned no
-        decisions.
-        """
+        """Decisions (m,): landmark number, `NEW`, `DISCARD`. ForeignError: it crashed, or returned no decisions."""
         m = len(expectation.z)
         found: IntArray = whole(self.name, call(self.name, self._function, expectation, gate), m, "what it returned")
         known = np.isin(found, expectation.number) | (found == NEW) | (found == DISCARD)

@@ -194,9 +194,7 @@ def installed(group: str) -> tuple[EntryPoint, ...]:
 
 
 def entry_points(kind: str) -> dict[str, str]:
-    """Names that installed packages add, each with its `package.module:Attribute`. Raises UsageError: one of them has a
-    name of ours, or two have the same.
-    """
+    """Names of installed packages, with `package.module:Attribute`. UsageError: a name of ours, or one twice."""
     found: dict[str, str] = {}
     packages: dict[str, str] = {}
     for point in sorted(installed(GROUPS[kind]), key=lambda p: (p.name, p.value)):

@@ -38,9 +38,7 @@ class FinePrint:
 
 @dataclass(frozen=True)
 class Table:
-    """A table with its caption (Markdown); `stem` names it in `tables/` if it was written there. `fine` is what the
-    caption leaves out.
-    """
+    """A table with its caption (Markdown); `stem`: its name in `tables/`, `fine`: what the caption leaves out."""
 
     frame: pd.DataFrame
     caption: str

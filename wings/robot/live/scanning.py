@@ -89,9 +89,7 @@ class GridPainter:
     """
 
     def __init__(self, scans: Callable[[], Scanned | None], show: Callable[[bytes], None]) -> None:
-        """`scans` gives the present ones, None before the first. `show` gets each grid in JSON: its lower left corner
-        and size [m], and the picture.
-        """
+        """`scans` gives the present ones or None, `show` gets grids in JSON: lower left corner, size [m], picture."""
         self._scans, self._show, self._drawn = scans, show, -EVERY
 
     def work(self, t: float, *, last: bool = False) -> None:
