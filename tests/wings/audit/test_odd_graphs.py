@@ -72,17 +72,6 @@ def test_ids_of_a_file_may_be_keys_of_gtsam(plain, base, tmp_path):
     assert found.factors["chi2"].to_numpy() == pytest.approx(slamref.audit(*plain, draws=0).factors["chi2"].to_numpy())
 
 
-def test_a_fixed_vertex_beside_a_prior_is_held(plain, tmp_path):
-    path, (graph, values) = tmp_path / "g.g2o", plain
-    path.write_text("\n".join([*lines_of(*plain), "EDGE_PRIOR_SE2 9 7 1 2 4 0 0 4 0 4", "FIX 0"]))
-    graph.add(gtsam.PriorFactorPose2(9, gtsam.Pose2(7, 1, 2), N.Isotropic.Sigma(3, 0.5)))
-    graph.add(gtsam.NonlinearEqualityPose2(0, values.atPose2(0)))
-    held = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
-    found = page.opened(str(path), None, 0)
-    assert found.report.factors["chi2"].sum() == pytest.approx(2 * graph.error(held), rel=1e-4)
-    assert found.values.atPose2(0).equals(values.atPose2(0), 1e-9)
-
-
 def test_an_id_beyond_them_is_named(plain, tmp_path):
     with pytest.raises(
         DataError, match=f"g.g2o:1: .*'{2**63}' is not an id, a whole number from 0 up and below {2**63}"
