@@ -355,9 +355,7 @@ class Window(Engine):
         return [gtsam.BetweenFactorPoint2(L(a), L(b), np.zeros(2), model) for a, b in pairs.items()]
 
     def marginalize(self, keys: Sequence[int], last: Sequence[int]) -> None:
-        """Marginalize variables; `last` stay the last ones in the order of elimination. Their neighbours are
-        relinearized first, since they keep their linearization point afterwards.
-        """
+        """Marginalize; `last` stay last. Neighbours, whose linearization point is kept, are relinearized first."""
         # gtsam 4.3 corrupts the rest of a clique with a hard constraint (it removes rows of the conditional, not of its
         # noise model); the factors are right, so it is eliminated once more
         hard = any(_is_hard(self._factors[h]) for h in self._handle.values())

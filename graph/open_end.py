@@ -317,9 +317,7 @@ class OpenEnd:
     def _factors(
         self, first: int, increments: Sequence[Increment], knots: Sequence[int]
     ) -> tuple[Sequence[factors.Factor], float]:
-        """Factors of increments (n) into frames `first`, ..., with the knots (n,) of their drift, and the smallest
-        pivot of the covariances. Raises DataError for a singular one.
-        """
+        """Factors of increments (n) with knots (n,) of drift, and the smallest pivot. DataError: one is singular."""
         mean, covariance = (np.array(rows) for rows in zip(*increments, strict=True))
         if not self._errors.names:
             return factors.between_factors(first, mean, covariance)
@@ -333,9 +331,7 @@ class OpenEnd:
         self._propagate_again()
 
     def _settle(self, engine: Engine, before: gtsam.Pose2) -> None:
-        """Read the anchor from the graph, after more updates if it jumped away from `before`. With errors until the
-        pose stays: a loop closure changes them, and they the path.
-        """
+        """Read the anchor, after more updates if it jumped from `before`; with errors until the pose stays."""
         if not self._errors.names:
             pose = engine.settle(self.keys[0], before)
             B = world_from_body(pose.theta())

@@ -102,9 +102,7 @@ def scans_of(packets: Sequence[Packet], sigma: float) -> Scans | None:
 
 
 def _increment(before: Packet, after: Packet, slip: float) -> Increment:
-    """Motion (3,) between packets in the body frame of the first, with covariance (3, 3). An unknown motion has the
-    covariance of a robot at full speed until its watchdog stopped it.
-    """
+    """Motion (3,) in the body, covariance (3, 3); an unknown one as of full speed until the watchdog stopped it."""
     mean = between(before.odometry, after.odometry)
     if not after.joined:
         far = min(after.t - before.t, WATCHDOG) + WATCHDOG
@@ -160,9 +158,7 @@ def load_recording(folder: Path) -> Log:
 
 
 def complete(folder: Path) -> Log:
-    """Add the files of an open log to a finished recording, each atomically, `log.toml` last. Raises DataError as
-    `load_recording`, or where a file cannot be written.
-    """
+    """Add an open log's files to a recording, `log.toml` last. DataError as `load_recording`, or not writable."""
     log = load_recording(folder)
     files = {name: text.encode() for name, text in contents(log, log.name).items()}
     if log.recorded.scans is not None:

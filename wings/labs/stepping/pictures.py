@@ -406,9 +406,7 @@ def wrong_of(truth: TruthRow | None) -> IntArray:
 
 
 def scene_of_wrong(p: Plane, decisions: IntArray, truth: TruthRow | None) -> Array | None:
-    """Points (k, 2) of one wrong decision: observation, paired landmark, right landmark. Chosen is the wrong decision
-    with the smallest extent; None if none is wrong.
-    """
+    """Points (k, 2) of the smallest wrong decision: observation, paired and right landmark; None: none wrong."""
     found: list[Array] = []
     for i in wrong_of(truth).tolist():
         numbers = [int(decisions[i])] + ([] if truth is None else [int(truth.ground_truth[i])])

@@ -404,9 +404,7 @@ AGAIN = 0.3  # Probability that the next target was visited before
 
 
 def drive(ways: Ways, rng: np.random.Generator, time: Array, speed: float, turn_rate: float) -> Array:
-    """Exact poses (N, 3) at stamps (N,) [s] from 0 up, without rests. `speed` [m/s] is that of straight lines; turns
-    are slower where `turn_rate` [rad/s] limits them.
-    """
+    """Poses (N, 3) at stamps (N,) [s] without rests, straight at `speed`, slower in turns by `turn_rate` [rad/s]."""
     moves = list[tuple[float, float, float]]()  # s, m/s, rad/s
     points = tour(ways, rng)
     a, b = next(points), next(points)

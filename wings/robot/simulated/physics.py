@@ -56,9 +56,7 @@ class SpeedLoop:
 
 
 def turned(speed: float, duty: float, dt: float, load: float = 0.0) -> float:
-    """Speed [m/s] of a motor's wheel after dt [s]; `load`: opposing push, in parts of that of full duty. Friction and
-    load hold a wheel at rest and stop a turning one, not beyond.
-    """
+    """Speed [m/s] after dt [s]; `load`: opposing push in full duties, which stops a wheel as friction does."""
     against = FRICTION + load
     pushed = speed + (duty * FULL_SPEED - speed) * dt / LAG
     brake = against * FULL_SPEED * dt / LAG
