@@ -124,9 +124,6 @@ def test_an_untrusted_pickle_beside_a_whole_recording_is_let_alone_and_makes_no_
     assert not is_lab(tmp_path / "other")
 
 
-# --- the configuration ------------------------------------------------------------------------------------------------
-
-
 def records() -> dict[str, np.ndarray]:
     """The structs as NumPy's records."""
     made = {}
