@@ -75,9 +75,7 @@ def absorb(
 def _innovation(
     measure: Measure, prior: Array, point: Array, jacobian_at: Array, P: Array, R: Array
 ) -> tuple[Array, Array, Array | None, Array]:
-    """Innovation of the prior linearized at a point, its Jacobian, the root L of its covariance, and L^-1 of it. L is
-    None where the covariance is not positive definite.
-    """
+    """Innovation about `point`, its Jacobian, L of its covariance (None: not positive definite), L^-1 of it."""
     nu, H = measure(point, jacobian_at)
     if point is not prior:
         nu = nu - H @ (prior - point)
@@ -214,9 +212,7 @@ class Clones:
             self._ends.setdefault(last, []).append(frame)
 
     def at(self, measured: MeasurementModel, base: int, size: int) -> IntArray | None:
-        """States (q,) that are measured: pose and errors, the leading `base`, and an earlier pose from `size` on. None:
-        the earlier pose is not in the state.
-        """
+        """States (q,) measured: pose and errors (`base`), an earlier pose from `size` on; None: that is not there."""
         present = np.arange(base)
         if measured.earlier is None:
             return present

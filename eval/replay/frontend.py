@@ -255,9 +255,7 @@ class FrontEnd:
         return acceptance(self.association, self.setup.gate, len(self.sensor.measures), self._right)
 
     def expect(self, observations: FrameObservations, appearance: Appearance | None = None) -> Expectation:
-        """The estimator's expectation of its candidates, compared with the observations' appearance; parked landmarks
-        that may be in view are restored first.
-        """
+        """The expectation of candidates beside the appearance; parked landmarks in view are restored first."""
         if self.parking is not None:
             self.parking.offer(observations)
         self._right = evidence(appearance)

@@ -57,9 +57,7 @@ class Scored:
 
 
 def printed(files: Sequence[str], truths: Sequence[str], reading: Scoring, *, infer: bool) -> tuple[str, str]:
-    """Lines of the scores, a name and a value each, of several with their verdicts; and lines of notes. `infer`: of a
-    path in another frame the RMSE after an alignment stands first.
-    """
+    """Lines of scores (name, value), of several with verdicts, and notes; `infer`: an alignment's RMSE is first."""
     found = [scored(file, truth, reading) for file, truth in zip(files, truths, strict=True)]
     if len(found) == 1:
         one, values = found[0], scores(found[0])

@@ -40,9 +40,7 @@ Blocks = tuple[IntArray, Array, Array, IntArray]
 
 
 def blocks_of_poses(inputs: Inputs, path: Array, of: OfPoses, columns: int) -> Blocks:
-    """Whitened rows of the used fixes and closures at a path (N, 3): residual, and minus the effect of each error.
-    Right-hand sides are filled with zeros up to `columns`.
-    """
+    """Whitened rows of used fixes and closures at a path (N, 3): residual, minus effects, zeros up to `columns`."""
     found = list[tuple[GaussianMeasurement, tuple[int, ...], Array]]()
     if (f := inputs.fixes) is not None:
         each = zip(fixes_of(f, f.sources), f.frame.tolist(), of.by_fixes, of.fixes.tolist(), strict=True)

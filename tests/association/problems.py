@@ -68,13 +68,11 @@ def exhaustive(e, gate=GATE):
 
 
 def distance_of(e, decisions):
-    """Pairings and squared joint distance of decisions."""
     pairs = [(i, int(np.flatnonzero(e.number == d)[0])) for i, d in enumerate(decisions) if d >= 0]
     return (len(pairs), joint_distances(e, np.array([pairs]))[0]) if pairs else (0, 0.0)
 
 
 def shuffled(e, order):
-    """The same problem with the map stored in another order."""
     order = np.asarray(order, np.int64)
     full = e.joint(np.arange(len(e.number)))
     rows = (2 * order[:, None] + np.arange(2)).ravel()

@@ -94,7 +94,6 @@ def expectation(z, z_hat, HPHt):
 
 
 def other(z):
-    """The same wall under its other name."""
     return np.array([-z[0], wrap_angle(z[1] + math.pi)])
 
 

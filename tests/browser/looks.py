@@ -40,7 +40,6 @@ def pages(folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 def main(folder: Path) -> None:
-    """Write `NAME-WIDTH.png` of every page, whole."""
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         for name, path in pages(folder):

@@ -31,7 +31,6 @@ def decisions_of(results, association):
 
 
 def choose(opened, association):
-    """Show a run in detail."""
     opened.page.select_option("#focus", label=f"EKF {association}")
     opened.settle()
 

@@ -21,7 +21,6 @@ class Driven(NamedTuple):
 
 
 def ekf_of(inputs: Inputs, options: FilterOptions | None = None) -> EkfLocalizer | EkfSlam:
-    """The filter of a log: localization if it has a map, else SLAM."""
     options = options or FilterOptions()
     if inputs.map is None:
         return EkfSlam(inputs.prior, inputs.sensor, options, systematic=inputs.systematic)

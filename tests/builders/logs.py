@@ -58,12 +58,10 @@ def inputs_of(
 
 
 def still(frames: int, variance: float = 1e-6) -> Increments:
-    """A robot that stays where it is."""
     return increments_of(np.zeros((frames, 3)), variance * np.eye(3))
 
 
 def along(path: Array, covariance: ArrayLike) -> Increments:
-    """Exact increments of a path (N, 3) that state a covariance."""
     return increments_of(np.concatenate([np.zeros((1, 3)), between(path[:-1], path[1:])]), covariance)
 
 
@@ -86,13 +84,11 @@ PARTS = attrgetter(
 
 
 def same(a: Log, b: Log) -> bool:
-    """Whether the numbers of inputs and truth agree bit for bit."""
     arrays = zip(PARTS(a), PARTS(b), strict=True)
     return all((x is None and y is None) or np.array_equal(x, y, equal_nan=True) for x, y in arrays)
 
 
 def without_frames(log: Log, gone: slice) -> Log:
-    """The log without these frames; its odometry does not know."""
     r, o, kept = log.recorded, log.recorded.observations, np.ones(len(log.recorded), bool)
     kept[gone] = False
     seen = kept[o.frame]

@@ -26,7 +26,6 @@ WORLDS = ("arena:{}", "arena:{}:drift=0.03+detection=0.7+clutter=1", "arena:{}:s
 
 
 def truth(log, change):
-    """The log with its true path changed in place."""
     pose = log.truth.pose.copy()
     change(pose)
     return replace(log, truth=replace(log.truth, pose=pose))

@@ -12,7 +12,6 @@ PAGES = {DOCS / "api.md": api.page, DOCS / "results-folder.md": results_folder.p
 
 
 def main() -> None:
-    """Measure what was asked for, then write all pages."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "--measure",

@@ -63,7 +63,6 @@ def signature(name: str, thing: Callable[..., object], width: int = WIDTH) -> st
 
 
 def value(default: object) -> str:
-    """A default as it is written in a call."""
     if isinstance(default, str | int | float | tuple | type(None)):
         return repr(default).replace("'", '"')
     made = type(default).__name__
@@ -115,13 +114,11 @@ def methods(thing: type) -> Iterator[tuple[str, str]]:
 
 
 def members(thing: type) -> Iterator[str]:
-    """The list of the methods of a class, if it has any."""
     if rows := [f"* `{call}`: {about}" for call, about in methods(thing)]:
         yield "Methods:\n\n" + "\n".join(rows)
 
 
 def entry(name: str) -> Iterator[str]:
-    """What the page says of one name."""
     thing = getattr(slamref, name)
     yield f"### {name}"
     if name in CONSTANTS:
@@ -134,7 +131,6 @@ def entry(name: str) -> Iterator[str]:
 
 
 def page() -> str:
-    """The page in Markdown."""
     intro = Path(__file__).with_name("api.md").read_text(encoding="utf-8").rstrip()
     parts = [intro]
     for title, names in GROUPS.items():

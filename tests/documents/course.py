@@ -36,12 +36,10 @@ class Measured(NamedTuple):
 
 
 def source(name: str) -> str:
-    """The source of a lesson."""
     return (SOURCES / f"{name}.md").read_text(encoding="utf-8")
 
 
 def run(name: str) -> Measured:
-    """Run the code of a lesson, as its notebook does."""
     names: dict[str, Any] = {"__name__": "__main__"}
     printed, pictures, start = [], [], time.perf_counter()
     for count, block in enumerate(CODE.finditer(source(name))):
@@ -55,7 +53,6 @@ def run(name: str) -> Measured:
 
 
 def measure(lessons: Iterable[str]) -> None:
-    """Run these and store what they gave."""
     for name in lessons:
         found = run(name)
         (PAGES / f"{name}.png").write_bytes(found.picture)
@@ -74,7 +71,6 @@ def parts(name: str) -> tuple[list[str], list[re.Match[str]], list[str], int]:
 
 
 def page(name: str) -> str:
-    """The page of a lesson in Markdown."""
     texts, blocks, printed, seconds = parts(name)
     title, _, rest = texts[0].partition("\n")
     made = [rest]

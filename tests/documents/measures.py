@@ -115,7 +115,6 @@ def visual() -> Values:
 
 
 def victoria() -> Values:
-    """Victoria Park with labels, and without."""
     methods = ("known", "jcbb", "jcbb-hindsight")
     out = slamref_run(
         "victoria", "run", "victoria-park", "--estimator", "ekf,isam2,batch", "--association", ",".join(methods)
@@ -195,7 +194,6 @@ MEASURES: dict[str, Callable[[], Values]] = {
 
 
 def measure(names: Iterable[str]) -> None:
-    """Run these and store their numbers, to six digits."""
     for name in names:
         if name in EXAMPLES:
             printed(name)

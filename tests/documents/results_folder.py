@@ -18,7 +18,6 @@ PARTS = {
 
 
 def page() -> str:
-    """The page in Markdown."""
     first: dict[Column, str] = {}  # the file that each column was described for
 
     def rows(file: File) -> Iterator[tuple[list[str], str, str]]:

@@ -61,7 +61,6 @@ def test_misread_barcodes_do_no_harm_by_default(shared_data):
 
 
 def score(log, run):
-    """Position RMSE [m] of a run's last phase."""
     return float(metrics_row(run, run.phases[-1], log, None)["rmse_position_m"])
 
 

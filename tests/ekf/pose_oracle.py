@@ -67,7 +67,6 @@ class Dense:
         self.x, self.first = np.concatenate([new, self.x]), np.concatenate([new, self.first])
 
     def at(self, frame):
-        """Offset of a frame's pose."""
         return len(self.x) - 3 * (frame + 1)
 
     def fix(self, kind, source, z, R):

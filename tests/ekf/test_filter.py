@@ -73,7 +73,6 @@ def test_tutorial_options_add_uncorrelated_landmarks():
 
 
 def driven(seed: int) -> tuple[EkfSlam, Inputs]:
-    """A SLAM filter after a log with labels."""
     inputs = simulate(SMALL, seed).inputs(labels=True).without_map()
     f = EkfSlam(inputs.prior, inputs.sensor)
     drive(f, inputs, known_decisions(inputs)[0])

@@ -15,7 +15,6 @@ LANDMARKS = LandmarkMap(np.array([3, 4, 7, 9]), np.array([[6.0, 0.0], [0.0, 6.0]
 
 
 def true_path() -> Array:
-    """A circle of radius 4 m, counter-clockwise."""
     angle = np.linspace(0.0, 2.0 * np.pi, FRAMES)
     return np.stack([4.0 * np.cos(angle), 4.0 * np.sin(angle), np.arctan2(np.cos(angle), -np.sin(angle))], axis=-1)
 

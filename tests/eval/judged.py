@@ -16,7 +16,6 @@ Rows = Sequence[Mapping[str, object]]
 
 
 def run_of(row: Mapping[str, object], *, measured: bool = True, **changed: object) -> RunJudgement:
-    """The only run of a log."""
     return judged_runs([dict(row) | changed], measured=measured)[0]
 
 

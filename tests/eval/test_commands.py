@@ -419,7 +419,6 @@ def help_of(words, capsys):
 
 
 def commands(text):
-    """Commands among the lines of a text, without remarks."""
     for line in re.sub(r" *\\\n *", " ", text).splitlines():
         bare = re.split(r" {2,}| #", line.strip())[0].removeprefix("$ ")
         if bare.startswith("slamref ") and "--help" not in bare and "..." not in bare:

@@ -30,12 +30,10 @@ DEPTH = 50_000
 
 
 def pick(rng: Rng, items):
-    """One of them."""
     return items[int(rng.integers(len(items)))]
 
 
 def flipped(content: bytes, rng: Rng) -> bytes:
-    """A few bytes changed, put in or taken out."""
     data = bytearray(content)
     for _ in range(int(rng.integers(1, 5))):
         at = int(rng.integers(len(data) + 1))
@@ -52,17 +50,14 @@ def flipped(content: bytes, rng: Rng) -> bytes:
 
 
 def truncated(content: bytes, rng: Rng) -> bytes:
-    """Ends early."""
     return content[: int(rng.integers(len(content) + 1))]
 
 
 def extended(content: bytes, rng: Rng) -> bytes:
-    """Goes on after its end."""
     return content + pick(rng, [pick(rng, JUNK), b"\n" * 1000, content, rng.bytes(50), b"\x00" * 1000])
 
 
 def emptied(content: bytes, rng: Rng) -> bytes:
-    """Nothing, or nothing but space."""
     return pick(rng, [b"", b"\n", b" ", b"\x00", b"\xef\xbb\xbf", b"\r\n\r\n"])
 
 

@@ -65,8 +65,6 @@ CASES = {
 
 
 class Soaked(NamedTuple):
-    """What became of it."""
-
     # case, frames: what was run
     case: str
     frames: int
@@ -141,7 +139,6 @@ def front_of(name: str, pose: np.ndarray, rng: np.random.Generator) -> FrontEnd:
 
 
 def soaked(name: str, count: int, seed: int = 0) -> FrontEnd:
-    """A front end after so many frames."""
     poses, step = round_trip()
     rng = np.random.default_rng(seed)
     front = front_of(name, poses[0], rng)
@@ -151,7 +148,6 @@ def soaked(name: str, count: int, seed: int = 0) -> FrontEnd:
 
 
 def soak(name: str, count: int, seed: int = 0) -> Soaked:
-    """Run one case over so many frames."""
     poses, step = round_trip()
     rng = np.random.default_rng(seed)
     front = front_of(name, poses[0], rng)

@@ -107,7 +107,6 @@ def checked(folder):
 
 @pytest.fixture(scope="module")
 def rows():
-    """Two hundred combinations in which all pairs occur."""
     rng = np.random.default_rng(20)
     found = pairwise(FACTORS, rng)
     assert len(found) <= RUNS

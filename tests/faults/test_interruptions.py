@@ -31,14 +31,12 @@ pytestmark = pytest.mark.slow
 
 
 def started(*words):
-    """The command, as a process of its own."""
     streams = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
     command = [sys.executable, "-m", "eval.run_all", *map(str, words)]
     return subprocess.Popen(command, cwd=ROOT, start_new_session=True, **streams)
 
 
 def done(*words):
-    """What the command said on its way to its end, and its status."""
     process = started(*words)
     _, said = process.communicate(timeout=PATIENCE)
     return process.returncode, said
@@ -64,7 +62,6 @@ def killed(words, instant):
 
 
 def beside(folder):
-    """What else is in the folder that holds it."""
     return sorted(p.name for p in folder.parent.iterdir() if p != folder)
 
 

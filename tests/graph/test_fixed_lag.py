@@ -21,7 +21,6 @@ from tests.graph.worlds import SENSORS, circle, order_of_creation
 
 
 def held(smoother):
-    """Frames of the poses that are in the graph."""
     keys = smoother._engine.values().keys()
     return [gtsam.symbolIndex(k) for k in keys if gtsam.symbolChr(k) == ord("x")]
 

@@ -37,7 +37,6 @@ def isam2(inputs, **options):
 
 
 def first(inputs, n):
-    """The first n frames."""
     f, c = inputs.fixes, inputs.closures
     return replace(
         inputs,

@@ -60,7 +60,6 @@ def circle(sensor, *, frames=60, landmarks=8, noise=1.0, seed=0, see=0.7, R=None
 
 
 def truncated(inputs, frames):
-    """The first frames of a log."""
     o = inputs.observations
     m = inputs.start[frames]
     return Inputs(
@@ -74,7 +73,6 @@ def truncated(inputs, frames):
 
 
 def order_of_creation(inputs, decisions, created):
-    """True landmark id of each landmark number."""
     initializing = created >= 0
     ids = np.empty(initializing.sum(), int)
     ids[created[initializing]] = inputs.observations.label[initializing]

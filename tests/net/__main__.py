@@ -50,7 +50,6 @@ def _line(case: str, file: str, column: str, what: str) -> str:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """The command."""
     args = _parser().parse_args(argv)
     names = [n for n in CASES if (not args.only or n in args.only) and (CASES[n].short or not args.short)]
     if args.list:

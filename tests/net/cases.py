@@ -20,8 +20,6 @@ ALWAYS = ("--no-plots", "--formats", "csv", "--jobs", "1", "--out", "out", "--qu
 
 @dataclass(frozen=True)
 class Case:
-    """One run of the public command."""
-
     words: str  # of the command line, in one string
     covers: str  # what it is here for
     short: bool = False  # it is in the short half, too

@@ -73,7 +73,6 @@ class Digest:
 
     @staticmethod
     def parse(text: str) -> Digest:
-        """Out of the record."""
         exact, rows, blanks, scale, *sums = text.split()
         if scale == "words":
             return Digest(exact, int(rows), int(blanks), None, (0.0, 0.0))
@@ -133,12 +132,10 @@ def columns_of(folder: Path, runs: str = RUNS) -> dict[str, Columns]:
 
 
 def files_of(folder: Path) -> list[str]:
-    """All files, by their path in the folder."""
     return sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
 
 
 def watched(name: str, runs: str = RUNS) -> bool:
-    """Whether something of this file is kept."""
     return name in TOP or (name.startswith("runs/") and name.endswith(tuple(runs.split())))
 
 

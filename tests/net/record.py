@@ -52,8 +52,6 @@ class Record:
 
 @dataclass(frozen=True)
 class Done:
-    """What came out of a case."""
-
     record: Record  # what would be kept of it
     columns: dict[str, Columns]  # of each file that something is kept of
     files: list[str]  # all files of the result folder

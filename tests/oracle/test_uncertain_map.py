@@ -18,7 +18,6 @@ SIGMA = np.array([[0.0, 0.0], [0.4, 0.0], [0.3, 0.6], [0.05, 0.1], [2.0, 1.0], [
 
 @pytest.fixture(scope="module")
 def uncertain(world):  # noqa: F811
-    """Inputs of the linear world with a map that is off, and its decisions by id."""
     inputs, _, _ = inputs_of(world, 0.0)
     rng = np.random.default_rng(11)
     known = LandmarkMap(3 + 2 * np.arange(LANDMARKS), rng.uniform(-6.0, 6.0, (LANDMARKS, 2)), sigma=SIGMA)

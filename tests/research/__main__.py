@@ -23,7 +23,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The flags of all studies."""
     p = Parser(prog="python -m tests.research", description="Studies too long for the suite.")
     studies = p.add_subparsers(dest="study", required=True)
     variety = studies.add_parser("variety", help="jcbb and jcbb-hindsight on 200 simulated worlds, to OUT/variety.csv")

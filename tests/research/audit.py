@@ -140,14 +140,11 @@ STRUCTURES: dict[str, Callable[[int, int], Structure]] = {
 
 
 def structure(name: str, poses: int, k: int) -> Structure:
-    """The `k`-th true graph of a kind; loops are at least `LEAST`."""
     made = (STRUCTURES[name](poses, seed) for seed in count(k, 1000))
     return next(s for s in made if s.seen or len(s.loops) >= LEAST)
 
 
 class Spoilt(NamedTuple):
-    """A drawn graph, its path of odometry, and its false factors."""
-
     graph: gtsam.NonlinearFactorGraph
     path: gtsam.Values
     false: list[int]
@@ -177,7 +174,6 @@ CASES = (
 
 
 def spoilt(s: Structure, case: Case, rng: np.random.Generator) -> Spoilt:
-    """A graph with an error of a kind."""
     graph = s.graph(rng, case.strength if case.kind == NOISE else 1.0)
     path, false, n = s.path(graph), [], len(s.poses)
     place = np.array([p.translation() for p in s.poses])

@@ -28,7 +28,6 @@ SOUND = "sound"
 
 @cache
 def exact() -> tuple[Inputs, Array, Used]:
-    """A log without noise, its path, and its pairings."""
     log = open_log("arena:5:frames=120")
     r, pose = log.inputs(labels=True), log.truth.pose
     assert pose is not None

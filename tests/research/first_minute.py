@@ -70,7 +70,6 @@ def run(command: list[str], folder: Path, environment: dict[str, str]) -> Cost:
 
 
 def size(folder: Path) -> float:
-    """Of all files of a folder [MB]."""
     return sum(f.stat().st_size for f in folder.rglob("*") if f.is_file() and not f.is_symlink()) / 1e6
 
 
@@ -105,7 +104,6 @@ def measure(here: bool) -> list[tuple[str, str]]:
 
 
 def main() -> int:
-    """Print the table."""
     print("| `slamref run arena:0` | processor time |\n|---|---:|")
     for what, value in measure("--here" in sys.argv):
         print(f"| {what} | {value} |", flush=True)

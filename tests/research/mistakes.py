@@ -100,7 +100,6 @@ def study(names: list[str]) -> None:
 
 
 def _said(c: Case, named: tuple[str, str, str]) -> str:
-    """`+` if the mistake is named alone, `or` if among equals, what else is named, or `-`."""
     each = [e.readings for e in ex.explanations(c)]
     fits = [any(all(a in ("", b) for a, b in zip(named, (r.kind, r.of, r.unit))) for r in rs) for rs in each]
     others = "; ".join(" & ".join(f"{r.kind} {r.of} {r.unit}{r.number:.3g}" for r in rs) for rs in each)

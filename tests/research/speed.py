@@ -97,7 +97,6 @@ def lines(quick: bool) -> list[Timed]:
 
 
 def visual_lines(quick: bool) -> list[Timed]:
-    """Lines of the table about images."""
     recording = Rendered(Gallery(), 0, frames=6 if quick else 30)
     begin = time.perf_counter()
     frames = list(recording.frames())

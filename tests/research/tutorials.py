@@ -104,7 +104,6 @@ class GainFromBefore(EkfLocalizer):
     """
 
     def predict(self, increment: Increment) -> None:
-        """Move by an increment, and keep the covariance from before."""
         self._version += 1
         self._before = self._P[:3, :3].copy()
         wx, wy, F, B = carried(self._mean[2], increment.mean)
@@ -231,7 +230,6 @@ def one_by_one(frame: Frame) -> list[Frame]:
 
 
 def row_of(name: str, found: Run, log: Log, original: tuple[float, float] | None = None) -> str:
-    """A run in the table."""
     row = metrics_row(found, found.phases[-1], log, None)
     cells = [float(row[c]) for c in ("rmse_position_m", "rmse_heading_deg", "rmse_landmark_m", "sse_position_m2")]
     theirs = "" if original is None else f"{original[1]:.4f} ({1e3 * (cells[0] - original[1]):+.2f} mm)"
@@ -240,7 +238,6 @@ def row_of(name: str, found: Run, log: Log, original: tuple[float, float] | None
 
 
 def table(source: Path, landmarks: Path) -> Iterator[str]:
-    """The lines of the table."""
     yield "| run | position RMSE [m] | original | heading [°] | landmarks [m] | Σ e² [m²] | original |"
     for step, t in STEPS.items():
         log = recorded(step, source, landmarks)
@@ -252,7 +249,6 @@ def table(source: Path, landmarks: Path) -> Iterator[str]:
 
 
 def main() -> None:
-    """Print the table."""
     p = Parser(prog="python -m tests.research.tutorials", description="The classic UTIAS tutorials beside ours.")
     p.add_argument("source", type=Path, metavar="MRCLAM_Dataset1.zip")
     p.add_argument("landmarks", type=Path, metavar="Landmark_Groundtruth.dat", help="the corrected landmarks")

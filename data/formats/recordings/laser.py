@@ -84,9 +84,7 @@ def time_steps(time: Array) -> Array:
 
 
 def laser_inputs(pose: Array, stamp: Array, scans: Scans) -> Inputs:
-    """Inputs from odometry poses (N, 3) and stamps (N,) [s] in recorded order, and scans. The first pose is the
-    odometry's, exactly. Times are the stamps made strictly increasing.
-    """
+    """Inputs of odometry poses (N, 3), the first exact, and stamps (N,) [s], made strictly increasing, and scans."""
     increments, floored = increments_of(pose)
     return Inputs(
         prior=Prior(pose[0], np.zeros((3, 3))), time=made_increasing(stamp), increments=increments,

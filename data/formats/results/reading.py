@@ -385,9 +385,7 @@ WIDTHS: dict[int, Callable[[Text, Manner], GivenPath]] = {
 
 
 def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
-    """The trajectory in a file, or in a bag (`FILE` or `FILE:/TOPIC`). Raises DataError for an unknown format or
-    invalid value, UsageError for missing or inapplicable options.
-    """
+    """The trajectory in a file or bag (`FILE:/TOPIC`). DataError: wrong format or value; UsageError: wrong options."""
     path, topic = file_and_topic(name)
     if is_bag(path):
         found, cov, times = read_bag(path, topic, manner), False, False
@@ -413,7 +411,6 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
 
 
 def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:
-    """The reader of a text's format."""
     if "FORMAT" in text.header:
         return lines.read_square
     first = text.fields[0]

@@ -145,8 +145,8 @@ def pose_columns(file: TextTable, columns: Columns, role: str) -> tuple[str, ...
 def read_odometry(
     file: TextTable, columns: Columns, kind: str, wheels: Wheels | None, role: str = "odometry", between: bool = False
 ) -> Odometry:
-    """The odometry of a file, of K steps `between` K + 1 poses; DataError for missing or invalid columns, UsageError for
-    ticks without wheels.
+    """The odometry of a file, of K steps `between` K + 1 poses; DataError for missing or invalid columns, UsageError
+    for ticks without wheels.
     """
     quantities = pose_columns(file, columns, role) if kind == "poses" else KINDS[kind]
     if kind == "steps" and columns.find(file, role, "dy") is None:

@@ -64,7 +64,6 @@ PROGRAM = re.compile(r"`slamref ([^`]*)`")
 
 
 def written_commands():
-    """Commands of the product's texts, by place."""
     for package in ("data", "association", "ekf", "graph", "eval", "wings"):
         for path in sorted((ROOT / package).rglob("*")):
             if path.suffix in (".j2", ".py"):

@@ -34,7 +34,6 @@ def exact_readings(log: Log) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def stored(shared_data: Path) -> dict[str, Any]:
-    """The stored run of that study."""
     file = shared_data / "esde" / "results.mat"
     if not file.is_file():
         pytest.skip("no stored run")

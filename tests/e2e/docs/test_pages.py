@@ -87,7 +87,6 @@ DOTTED = re.compile(rf"(?:{'|'.join(PACKAGES)})(?:\.(?!csv\b)\w+)+")
 
 
 def is_there(name: str) -> bool:
-    """Whether a dotted name is a module, or an attribute of one."""
     parts = name.split(".")
     for k in range(len(parts), 0, -1):
         try:

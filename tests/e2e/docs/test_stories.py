@@ -106,7 +106,6 @@ DOCS = Path(__file__).parents[3] / "docs" / "logs.md"
 
 
 def blocks(language: str) -> list[str]:
-    """Fenced blocks of the docs in a language ('' for output)."""
     parts = DOCS.read_text(encoding="utf-8").split("```")[1::2]
     return [text.partition("\n")[2] for text in parts if text.partition("\n")[0] == language]
 

@@ -6,7 +6,6 @@ import time
 
 
 def squared(x):
-    """A job that ends well."""
     return x * x
 
 
@@ -16,7 +15,6 @@ def killed(x):
 
 
 def too_large(x):
-    """A job that asks for more memory than there is."""
     raise MemoryError("Unable to allocate 728. TiB")
 
 

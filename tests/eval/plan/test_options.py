@@ -179,7 +179,6 @@ def words(name: str, value: str) -> list[str]:
 
 
 def again(options: Options) -> Options:
-    """What the command in the report asks for."""
     command = shlex.split(command_of(options))
     assert command[0] == "slamref"
     return read_options(command[2:], positional=POSITIONAL[command[1]])

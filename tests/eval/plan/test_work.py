@@ -246,7 +246,6 @@ def first_run(tmp_path: Path) -> subprocess.Popen[str]:
 
 
 def is_running(pid: int) -> bool:
-    """Whether a process is there and has not ended."""
     try:
         state = Path(f"/proc/{pid}/stat").read_text().rsplit(") ", 1)[1][0]
     except FileNotFoundError:

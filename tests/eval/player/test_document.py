@@ -184,8 +184,6 @@ def test_small_images_and_corners_are_those_of_the_recording():
 
 
 class Memory(Observer):
-    """Remembers everything, at full precision."""
-
     def __init__(self):
         self.maps, self.d2, self.said = {}, {}, {}
 

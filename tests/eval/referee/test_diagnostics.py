@@ -195,7 +195,6 @@ def arena() -> Log:
 
 
 def overconfident(inputs: Inputs) -> Inputs:
-    """Sigmas stated as half of what they are."""
     o, steps = inputs.observations, inputs.increments
     return replace(
         inputs,

@@ -31,7 +31,6 @@ def truly(log):
 
 
 def noiseless(log):
-    """The log as it would be without noise."""
     r, pose, o = log.recorded, log.truth.pose, log.recorded.observations
     motion = np.zeros_like(pose)
     motion[1:] = between(pose[:-1], pose[1:])

@@ -36,7 +36,6 @@ def fixes(count=60, kind=FixKind.POSITION):
 
 
 def closures(count=20):
-    """Closures with the first frame."""
     later = np.sort(1 + np.arange(count) % (FRAMES - 1))
     eye = np.tile(np.eye(3), (count, 1, 1))
     return Closures(np.zeros(count), later, np.zeros((count, 3)), eye, np.zeros(count), ("loops",))

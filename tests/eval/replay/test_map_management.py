@@ -138,8 +138,6 @@ def park():
 
 @pytest.fixture
 def eager(monkeypatch):
-    """Maps of ten landmarks are parked, and again at every chance."""
-
     def switch(on):
         monkeypatch.setattr(map_management, "LEAST", 10 if on else 10**9)
         monkeypatch.setattr(map_management, "KEPT", 3)

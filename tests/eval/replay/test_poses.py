@@ -22,7 +22,6 @@ OPEN = Setup(gate_poses=None)
 
 
 def blind(log, task="slam"):
-    """The inputs without observations."""
     inputs = log.inputs(labels=True)
     o = inputs.observations
     none = LabelledObservations(o.frame[:0], o.z[:0], o.R[:0], label=o.label[:0])
@@ -30,7 +29,6 @@ def blind(log, task="slam"):
 
 
 def off(run: Run, log):
-    """RMSE of the position [m]."""
     return float(np.sqrt(((run.online.pose[:, :2] - log.truth.pose[:, :2]) ** 2).sum(axis=1).mean()))
 
 

@@ -240,7 +240,6 @@ FRAME = pd.DataFrame(
 
 
 def cells_of(table: str) -> list[list[str]]:
-    """Head and body of a Markdown table, as a reader's browser would show them."""
     page = MarkdownIt("commonmark").enable("table").render(table)
     rows = re.findall(r"<tr>(.*?)</tr>", page, re.S)
     return [[html.unescape(c) for c in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.S)] for row in rows]

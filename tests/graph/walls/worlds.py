@@ -74,7 +74,6 @@ def exactly(name, task):
 
 
 def in_order(inputs, created):
-    """The true walls in the order of landmark numbers."""
     return WALLS[order_of_creation(inputs, None, created)]
 
 

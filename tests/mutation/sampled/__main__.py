@@ -61,13 +61,11 @@ def fault_named(name: Named, root: Path) -> Fault | None:
 
 
 def stored() -> list[Named]:
-    """The fixed set."""
     with SET.open(newline="", encoding="utf-8") as file:
         return [Named(**row) for row in csv.DictReader(file)]
 
 
 def store(names: Sequence[Named]) -> None:
-    """Write the fixed set."""
     with SET.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerows([Named._fields, *sorted(names)])
@@ -106,7 +104,6 @@ def _begin(trees: Any, by: Mapping[str, set[str]], last: Sequence[str]) -> None:
 
 
 def _found_by(name: Named) -> str:
-    """The test that finds the fault, or ""."""
     tree = _state["tree"]
     fault = fault_named(name, tree)
     assert fault is not None
@@ -123,7 +120,6 @@ def _found_by(name: Named) -> str:
 
 
 def main() -> int:
-    """Try the set, or a sample."""
     parser = argparse.ArgumentParser(prog="python -m tests.mutation.sampled", description=__doc__.partition("\n\n")[0])
     parser.add_argument("--draw", type=int, default=0, metavar="N", help="try a sample of N faults instead of the set")
     parser.add_argument("--seed", type=int, default=1, help="of the sample")

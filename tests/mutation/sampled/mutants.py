@@ -36,7 +36,6 @@ class Fault(NamedTuple):
     new: str
 
     def put_into(self, text: str) -> str:
-        """The file's text with the fault."""
         return text[: self.start] + self.new + text[self.end :]
 
     def is_one(self, text: str) -> bool:

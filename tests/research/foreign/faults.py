@@ -21,8 +21,6 @@ FACTOR, AMOUNT = "factor", "amount"
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault."""
-
     # size: the strong one. kind: `FACTOR` of something that is 1 where sound, or `AMOUNT` that is 0
     size: float
     right: tuple[str, ...]  # patterns of `kind name` of findings that name it rightly, alone or in an "or"

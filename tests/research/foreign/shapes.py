@@ -21,8 +21,6 @@ SWING = 0.35
 
 @dataclass(frozen=True)
 class Shape:
-    """One kind of world."""
-
     curve: Callable[[Generator], Array]  # draws the points (K, 2) of a path; their ends are left straight on
     # speed: m/s on average. seconds, rate: s, Hz of the frames
     speed: float

@@ -71,11 +71,9 @@ def share(count: int, of: int) -> str:
 
 
 def table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table in markdown."""
     lines = [heads, ["---"] * len(heads), *rows]
     return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
 
 
 def counted(rows: Iterable[str]) -> str:
-    """Words with their counts, the most frequent first."""
     return ", ".join(f"{word} {n}" for word, n in Counter(rows).most_common())

@@ -75,7 +75,6 @@ def make(shape: str, seed: int, fault: str | None = None, strength: float = 1.0)
 
 
 def sensor_of(shape: Shape) -> Sensor:
-    """The sensor as it is stated."""
     kind = RangeBearing if shape.polar else RelativePoint
     half = 0.5 * shape.view
     return kind(shape.reach, -half, half, translation=(-shape.mount, 0.0))

@@ -74,7 +74,6 @@ class Goal(NamedTuple):
 
 
 def worlds_of(rows: Sequence[Row]) -> list[World]:
-    """The worlds on which both methods ran, by index."""
     found = {(r.number, r.method): r for r in rows}
     both = sorted(i for i, method in found if method == HINDSIGHT and (i, JCBB) in found)
     return [World(found[i, JCBB], found[i, HINDSIGHT], found.get((i, KNOWN))) for i in both]

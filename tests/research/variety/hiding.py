@@ -46,8 +46,6 @@ FRONT = math.radians(75.0)
 
 @dataclass(frozen=True)
 class Hiding:
-    """How landmarks hide."""
-
     diameter: float  # m, median of the landmarks' diameters; they differ by a factor of 1.5 (one sigma)
     half: float  # range at which half of the detections are left, in ranges of the sensor
     uneven: float  # standard deviation of the landmarks' own detection, as logit
@@ -67,7 +65,6 @@ class Hidden:
 
     @property
     def kind(self) -> str:
-        """Arena, park or corridor."""
         return "grove" if self.index == GROVE else self.drawn.name.partition(":")[0]
 
 
@@ -137,7 +134,6 @@ def log_of(hidden: Hidden) -> Log:
 
 
 def world_of(index: int) -> tuple[Log, str]:
-    """Log and kind of a world."""
     hidden = draw(index)
     return log_of(hidden), hidden.kind
 

@@ -75,7 +75,6 @@ class Deadline(Observer):
         self._end = time.perf_counter() + seconds
 
     def moved(self, front: FrontEnd) -> None:
-        """A frame begins."""
         if time.perf_counter() > self._end:
             raise OutOfTimeError
 
@@ -152,7 +151,6 @@ def measure_all(
 
 
 def line_of(row: Row) -> str:
-    """A row as a line of text."""
     return (
         f"{row.number:3d} {row.world:8s} {row.method:14s} {row.frames:5d} frames {row.readings:6d} readings:"
         f" RMSE {row.rmse_m:8.3f} m, FP {100 * row.fp / max(row.readings, 1):5.1f} %,"

@@ -36,8 +36,6 @@ FACTOR = 4.0
 
 @dataclass(frozen=True)
 class Readings:
-    """How landmarks are read."""
-
     # sigma_range: m, sigma_bearing: rad, noise as it is
     sigma_range: float
     sigma_bearing: float
@@ -47,8 +45,6 @@ class Readings:
 
 @dataclass(frozen=True)
 class Crowding:
-    """Where landmarks stand."""
-
     kept: float = 1.0  # share of the world's landmarks that are there
     paired: float = 0.0  # share of those that get a neighbour
     spacing: float = math.inf  # of a landmark and its neighbour, in sigmas of the sensor at half its range
@@ -78,7 +74,6 @@ class Drawn:
 
     @property
     def half(self) -> str:
-        """What the world is there for."""
         return LATER if self.index >= WORLDS else CHOOSE if self.index % 2 == 0 else JUDGE
 
 
@@ -163,7 +158,6 @@ def _corridor(rng: np.random.Generator, large: bool) -> dict[str, object]:
 
 
 def _short(value: float) -> float:
-    """To four significant digits, so that names stay short."""
     return float(f"{value:.4g}")
 
 
@@ -250,7 +244,6 @@ def crowded(xy: Array, crowding: Crowding, sigma: float, rng: np.random.Generato
 
 
 def stated_sensor(sensor: Sensor, misstated: Misstated) -> Sensor:
-    """The sensor with the view that is stated of it."""
     half = min(0.5 * (sensor.max_angle - sensor.min_angle) * misstated.view_angle, math.pi)
     if sensor.max_angle - sensor.min_angle >= 2.0 * math.pi - 1e-3:  # what sees all around is not mistaken for less
         half = math.pi

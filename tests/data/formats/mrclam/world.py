@@ -55,7 +55,6 @@ def measurement_rows() -> list[tuple[float, int, float, float]]:
 
 
 def texts() -> Texts:
-    """File contents by name."""
     steps = range(int(LASTS * 20) + 1)
     truth = [f"{T0 + k / 20:.3f} \t  {x:.8f} \t {y:.8f} \t {h:.8f} " for k in steps for x, y, h in [pose_at(k / 20)]]
     ticks = range(round(ODOMETRY_STARTS * 10), int((LASTS - 1.0) * 10) + 1)
@@ -76,7 +75,6 @@ def texts() -> Texts:
 
 
 def save_folder(folder: Path, files: Texts) -> Path:
-    """Write the files into a folder; returns it."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
         (folder / name).write_bytes(text.encode())
@@ -84,7 +82,6 @@ def save_folder(folder: Path, files: Texts) -> Path:
 
 
 def save_zip(path: Path, files: Texts, top: str = "MRCLAM_Dataset77/") -> Path:
-    """Write the files into a zip, in the folder `top`; returns its path."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, text in files.items():
             archive.writestr(top + name, text)
@@ -101,7 +98,6 @@ def replace_row(text: str, row: int, new: str | None) -> tuple[str, int]:
 
 
 def exchange(survey: str, one: int, other: int) -> str:
-    """A landmark file with the numbers of two rows exchanged."""
     return (
         survey.replace(f" {one:2d} \t", " AA \t")
         .replace(f" {other:2d} \t", f" {one:2d} \t")

@@ -52,7 +52,6 @@ def definite(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def random_fixes(rng: np.random.Generator, frames: int) -> Fixes:
-    """Fixes of a log of so many frames."""
     count, sources = int(rng.integers(6)), int(rng.integers(1, 4))
     kind = rng.integers(0, 3, count)
     there = np.array([[entry in MEASURED[each] for entry in range(3)] for each in FixKind])[kind]
@@ -67,7 +66,6 @@ def random_fixes(rng: np.random.Generator, frames: int) -> Fixes:
 
 
 def random_closures(rng: np.random.Generator, frames: int) -> Closures:
-    """Closures of a log of so many frames, at least two."""
     count, sources = int(rng.integers(6)), int(rng.integers(1, 4))
     first = rng.integers(0, frames, count)
     second = (first + rng.integers(1, frames, count)) % frames

@@ -23,7 +23,6 @@ from wings.camera.lab.folder import is_lab, open_lab
 
 
 def objects(rows: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Rows as an array of objects."""
     made = np.empty(len(rows), object)
     made[:] = list(rows)
     return made.reshape(shape)

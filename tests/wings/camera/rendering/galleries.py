@@ -18,7 +18,6 @@ SMALL_CLEAN = replace(CLEAN, image_width=320, image_height=240, reference_width=
 
 
 def visible(recording, k):
-    """Numbers of the pictures in view in frame k."""
     return [s.picture for s in recording.in_view(k)]
 
 

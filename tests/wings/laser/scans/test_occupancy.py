@@ -18,7 +18,6 @@ def cell(grid, x, y):
 
 
 def crosses(a, b, box):
-    """Whether a segment has a part of some length inside a box (low, high)."""
     begin, end = 0.0, 1.0
     for axis in (0, 1):
         d = b[axis] - a[axis]
