@@ -5,8 +5,6 @@ poses. The frames of the robots are numbered one robot after the other. Gauss-Ne
 those of `graph.qr`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
