@@ -312,7 +312,6 @@ def _finite(values: Sequence[float], where: str) -> bool:
 
 
 def _pose(message: Any, recorded: float, where: str, *, certain: bool) -> Pose:
-    """The pose of a message, with its covariance if it is wanted."""
     P = np.full((3, 3), np.nan)
     if hasattr(message, "point"):  # a place alone
         x, y = (float(message.point.x), float(message.point.y))
@@ -395,7 +394,8 @@ def odometry_of(path: Path, topics: Sequence[Topic], found: Collected) -> tuple[
         moving = {child: m for child, m in found.tree.moving.items() if not m.static}
         below = {child: m for child, m in moving.items() if found.tree.carries(child, found.scans.frame)}
         named = [child for child, m in (below or moving).items() if ODOM_FRAME in m.parent]
-        named = named or [child for child, m in below.items() if m.moves]
+        if not any(moving[child].moves for child in named):  # the frame that drives is below it
+            named = [k for k, m in below.items() if m.moves and found.tree.carries((*named, k)[0], k)] or named
         if not named:
             what = "neither a topic of odometry nor a moving transform of the robot; one is needed"
             raise DataError.at(path, f"{what}: --odom TOPIC{', or --no-odometry' if found.scans.ranges else ''}")

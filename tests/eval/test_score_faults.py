@@ -54,9 +54,6 @@ def tum(places, yaw=0.0, z=0.0, step=1.0, start=0.0):
     )
 
 
-# ---- columns by name
-
-
 NAMES = {
     "TUM, w first": ("# timestamp tx ty tz qw qx qy qz", " ", "txyzWXYZ"),
     "no comment": ("time,pos_x,pos_y,pos_z,quat_w,quat_x,quat_y,quat_z", ",", "txyzWXYZ"),
@@ -148,9 +145,6 @@ def test_units_of_stamps_are_inferred_and_said(unit, scale, start, scored):
     assert not asked
 
 
-# ---- axes
-
-
 def kitti(places, height=0.0):
     return lines((1, 0, 0, x, 0, 1, 0, height, 0, 0, 1, z) for x, z in places)
 
@@ -214,9 +208,6 @@ def test_degrees_in_both_files_are_inferred_and_many_turns_in_rad_are_none(score
     assert not asked
 
 
-# ---- angles and roles
-
-
 def headed(headings, places=CURVE, more=""):
     return commas([(k, x, y, h) for k, ((x, y), h) in enumerate(zip(places, headings))], "t,x,y,theta" + more)
 
@@ -267,8 +258,6 @@ def test_a_mirrored_path_is_asked_about_and_not_turned_over(planar, scored):
     assert len(asked) == 1
     assert "mirror image" in asked[0]
 
-
-# ---- covariances
 
 SIGMA = np.diag([0.1, 0.2, 0.3, 0.001, 0.002, 0.003])
 SWAP = [3, 4, 5, 0, 1, 2]
@@ -417,11 +406,6 @@ def test_openvins_states_blocks_of_rotation_and_position(scored):
         for name in ("nees_pose", "nees_3d_position", "nees_3d_rotation", "nees_3d_decoupled"):
             assert values[name] == pytest.approx(right[name], rel=1e-4)
 
-
-# ---- words
-
-
-# ---- clocks, frames and headings that one file has otherwise than the other
 
 WAY = world(0).truth[::2]
 AWAY = np.array([3.0, 4.0, 68.0 * DEG])

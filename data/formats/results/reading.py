@@ -436,7 +436,6 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
 
 
 def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:
-    """The reader of a text's format."""
     if "FORMAT" in text.header:
         return lines.read_square
     first = text.fields[0]

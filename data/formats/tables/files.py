@@ -33,6 +33,7 @@ from data.terminal import counted
 SEPARATORS = (";", "\t", ",", " ")  # In this order, since a decimal comma is no separator beside a semicolon or a tab
 COMMENT = ("#", "%")
 DATE = re.compile(r"\d{4}-?(?:\d\d|W)")  # How dates in ISO 8601 begin
+DAY = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:")  # How dates begin that are no number
 NAMES_SHOWN = 200  # Most characters of a header in a message
 
 
@@ -377,7 +378,9 @@ ALSO = {
     "dx": ("d", "ds", "deltas", "deltad", "deltax"), "dy": ("deltay",), "dtheta": ("deltatheta", "deltayaw", "dyaw"),
     "steering": ("steer", "steeringangle"),
     "x": ("gpsx", "uwbx", "east", "easting"), "y": ("gpsy", "uwby", "north", "northing"),
-    "label": ("landmarkid", "beaconid", "markerid", "tagid"), "lat": ("latitude",), "lon": ("longitude", "lng"),
+    **dict.fromkeys(("label", "id"), ("landmarkid", "beaconid", "markerid", "tagid")),
+    "lat": ("latitude",), "lon": ("longitude", "lng"),
+    "frame": ("poseid",), "frame1": ("fromid", "idfrom"), "frame2": ("toid", "idto"),
 }  # fmt: skip
 """Other usual names of a quantity, in small letters only, beside those of results (`role_of`); read, with the unit at
 their end, where a file has exactly one of them."""
@@ -468,6 +471,10 @@ class Columns:
                 name = self.given.get(q, q)
                 what = f"no column {name!r}{did_you_mean(name, file.names)} for {q}; it has {file.described()}"
                 raise DataError.at(file.path, f"{what}; name it as in --columns {role}.{q}=NAME")
+            first = next((row[column] for row in file.rows if row[column]), "")
+            if q in STAMPS and not {"t", "time", f"{role}.t"} & set(self.units.given) and DAY.match(first):
+                self.units.given[f"{role}.t"] = ISO
+                self.notes.append(f"{file.path.name}: inferred: --unit {role}.t=iso, as {first} is a date")
             columns.append(column)
         return columns
 
