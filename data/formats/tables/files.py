@@ -18,7 +18,7 @@ import numpy as np
 
 from data.columns.named import LENGTH, unused
 from data.csv_table import Table, cut_off, is_number
-from data.earth import east_north
+from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import columns_of, is_arrays
 from data.formats.messages import file_and_word, kinds_of, numbered_rows, parts_of, whole_names, with_word
@@ -527,18 +527,6 @@ class Columns:
             if names:
                 self.notes.append(f"{file.path.name}: {unused(names, free)}")
 
-    def _on_plane(self, lat: Array, lon: Array, file: TextTable) -> dict[str, Array]:
-        """Metres east (K,) and north of the datum."""
-        fine = np.isfinite(lat) & np.isfinite(lon)
-        if not ((np.abs(lat[fine]) <= 90.0) & (np.abs(lon[fine]) <= 360.0)).all():
-            raise DataError.at(file.path, "latitudes beyond 90 or longitudes beyond 360; degrees are needed")
-        if not self.datum and fine.any():
-            self.datum += [float(lat[fine][0]), float(lon[fine][0])]
-            at = ", ".join(f"{v:.9g}" for v in self.datum)
-            self.notes.append(f"x and y are metres east and north of latitude and longitude {at} deg")
-        place = np.stack([lat, lon, 0.0 * lat], axis=-1)
-        return dict(zip("xy", east_north(place, np.array([*self.datum, 0.0])).T, strict=True)) if self.datum else {}
-
     def table(
         self, file: TextTable, role: str, quantities: Sequence[str], *, optional: Sequence[str] = (),
         texts: Sequence[str] = (), may_be_blank: Collection[str] = (),
@@ -583,7 +571,11 @@ class Columns:
                 if q in ("range", "bearing"):
                     self.notes.append(f"{file.path.name}: {q} is {said}: was nothing measured there? Leave them out")
         if earth:
-            values |= self._on_plane(values["y"], values["x"], file)
+            place = np.stack([values["y"], values["x"], 0.0 * values["x"]], axis=-1)
+            metres, datum, said = on_plane(file.path, place, self.datum)
+            values |= {"x": metres[:, 0], "y": metres[:, 1]}
+            self.datum[:] = datum[:2]
+            self.notes += [said] * bool(said)
         if role in self.offsets:
             if not any(q in values for q in STAMPS):
                 given = f"--time-offset {role}={self.offsets[role]:g}"

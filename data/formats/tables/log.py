@@ -258,10 +258,12 @@ def _between(wanted: Wanted) -> bool:
         columns.read |= {(file.path, c) for c in ends}
         first, last = (file.numbers(c, np.ones(len(file), bool), stamps=False) for c in ends)
         return bool((last == first + 1.0).all() and (np.diff(first) == 1.0).all())
-    true = texts.get("truth", file)
+    places = [(file, columns.find(file, "odometry", "dx"))]
+    places += [(t, columns.find(t, "truth", "x")) for t in [texts.get("truth")] if t is not None]
+    steps, *true = (sum(row[c or 0] != "" for row in of.rows) for of, c in places)
     frames = [of.numbers(c, np.ones(len(of), bool), stamps=False).max(initial=0.0) for role, of in texts.items()
               if of is not file and (c := columns.find(of, role, "frame")) is not None]  # fmt: skip
-    return (true is not file and len(true) == len(file) + 1) or max(frames, default=0.0) == len(file)
+    return true == [steps + 1] or max(frames, default=0.0) == steps
 
 
 def read_log(name: str, wanted: Wanted) -> Recording:
