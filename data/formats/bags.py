@@ -91,12 +91,7 @@ class Topic:
 
 
 def topics_of(path: Path) -> tuple[Topic, ...]:
-    """The topics of a bag by name, each with what its type becomes.
-
-    Raises:
-        UsageError: `rosbags` is not installed.
-        DataError: no bag, or a damaged one.
-    """
+    """The topics by name, with what each becomes. UsageError: no `rosbags`. DataError: no bag, or a damaged one."""
     with ros.opened(path, STANDARD) as reader:
         found: dict[str, Topic] = {}
         for c in reader.connections:

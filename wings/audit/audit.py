@@ -406,10 +406,7 @@ def examined(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, by: Grouping = None, draws: int = DRAWS, seed: int = 0,
     *, steps: int = TURNS, told: Told = unheard,
 ) -> Audit:  # fmt: skip
-    """Examine a graph around its values, with so many `steps` of a search at most; `told` each stage.
-
-    Raises DataError as `linearize`, and for a graph without factors.
-    """
+    """Examine a graph around its values, with at most `steps` of a search. DataError as `linearize`, or if empty."""
     system = linear.linearize(graph, values)
     if not system.rows or not len(system.keys):
         raise DataError("the graph has no factor of a variable; at least one is needed")
