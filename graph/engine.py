@@ -91,7 +91,6 @@ class Engine:
         return other
 
     def _thresholds(self) -> gtsam.ISAM2ThresholdMap:
-        """Relinearization thresholds by kind of variable."""
         found = gtsam.ISAM2ThresholdMap()
         for kind, size in self._sizes.items():
             found.insert((kind, np.full(size, (FURTHER if kind in self.linear else 1.0) * self.threshold)))
@@ -129,7 +128,6 @@ class Engine:
         return self._next - 1
 
     def _release(self, handles: Sequence[int]) -> list[int]:
-        """Release factors; returns their slots."""
         for h in handles:
             del self._factors[h]
         return [self._slot.pop(h) for h in handles]

@@ -579,7 +579,6 @@ class Isam2Smoother:
         return factors, values
 
     def _read(self) -> None:
-        """Read the newest pose from the engine."""
         self._end.read(self._engine)
 
     def hold(self, frame: int) -> None:

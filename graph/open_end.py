@@ -164,7 +164,6 @@ class OpenEnd:
         self._reset()
 
     def _reset(self) -> None:
-        """Reset the newest pose to the anchor."""
         self.mean, self.b, self.whole = self._origin
         self._path, self._path_b = list[Array](), list[Array]()
         self._steps = list[tuple[Array, Array]]()  # of each increment: Jacobian and noise of pose and errors

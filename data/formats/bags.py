@@ -312,7 +312,6 @@ def _finite(values: Sequence[float], where: str) -> bool:
 
 
 def _pose(message: Any, recorded: float, where: str, *, certain: bool) -> Pose:
-    """The pose of a message, with its covariance if it is wanted."""
     P = np.full((3, 3), np.nan)
     if hasattr(message, "point"):  # a place alone
         x, y = (float(message.point.x), float(message.point.y))

@@ -314,7 +314,6 @@ def _closures(graph: Graph, ids: IntArray, used: IntArray) -> Closures | None:
 
 
 def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
-    """Notes about differences from the file."""
     notes = ["One pose has a line; the others begin where the edges put them"] if graph.file.alone else []
     loops = len(graph.motion) - len(used)
     if loops:

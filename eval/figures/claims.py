@@ -90,7 +90,6 @@ def claims_figure(log: Log, runs: Sequence[Run]) -> Figure:
 
 
 def _nis_axis(ax: Axes, found: Sequence[Stretches]) -> None:
-    """Bounds behind the curves, and a scale that shows both."""
     ax.set_ylabel("NIS per dof [–]")
     if not found:
         ax.text(0.5, 0.5, "no innovations were formed", transform=ax.transAxes, ha="center", va="center")

@@ -215,7 +215,6 @@ NUMBERS = {
 
 
 def _typed(row: Row) -> RunJudgement:
-    """A row of metrics.csv."""
     estimator, association, phase, status = (str(row[c]) for c in ("estimator", "association", "phase", "status"))
     numbers = {name: value_of(row, column) for name, column in NUMBERS.items()}
     lost_why = "" if is_blank(row.get("lost_why")) else str(row["lost_why"])

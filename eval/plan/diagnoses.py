@@ -55,7 +55,6 @@ def trusted(
 
 
 def _count(study: Study) -> int:
-    """Number of twins of each log."""
     return (TWINS if study.full else 0) if study.twins is None else study.twins
 
 

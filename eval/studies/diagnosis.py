@@ -594,12 +594,10 @@ def _refitted(inputs: Inputs, smoother: Run, estimator: str = PLAIN) -> Run | No
 
 
 def _statistics(measured: Mapping[Key, Statistic]) -> dict[str, float]:
-    """The statistics of the smoother alone."""
     return _in_errors({name: m for (estimator, name), m in measured.items() if estimator == PLAIN})
 
 
 def _in_errors(measured: Mapping[str, Statistic]) -> dict[str, float]:
-    """Values of statistics, slopes in standard errors."""
     return {n: m.value / m.se if n.startswith("slope_") and m.se > 0.0 else m.value for n, m in measured.items()}
 
 
@@ -611,7 +609,6 @@ def _furthest(own: Mapping[str, float], usual: Mapping[str, float], spread: Mapp
 
 
 def _usual_and_spread(found: Sequence[Mapping[str, float]]) -> tuple[dict[str, float], dict[str, float]]:
-    """Median and standard deviation of each statistic over replicates."""
     values = {name: [f[name] for f in found if name in f] for name in dict.fromkeys(n for f in found for n in f)}
     return {n: float(np.median(v)) for n, v in values.items()}, {n: float(np.std(v)) for n, v in values.items()}
 

@@ -240,7 +240,6 @@ def other_starts(file: GraphFile, values: gtsam.Values) -> dict[str, gtsam.Value
 
 
 def _shifted(values: gtsam.Values, by: Any) -> gtsam.Values:
-    """Poses and points moved by a pose."""
     out = gtsam.Values()
     for key in values.dims():
         value = value_of(values, key)

@@ -192,7 +192,6 @@ class TeamFilter:
         return decisions >= 0, known.positions(decisions[decisions >= 0])
 
     def _begin(self, row: int, z: Array, R: Array, label: int) -> None:
-        """A new landmark at the end of the state."""
         at, d = self.at(row), len(self.mean)
         xy, Gx, Gz = (each[0] for each in self.team.members[row].sensor.inverse(self.mean[at], z[None]))
         across = Gx @ self.P[at]

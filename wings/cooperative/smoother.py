@@ -141,7 +141,6 @@ class _Linear:
         self.structure: Structure = structure(self.variable, self.dim, ordering(self.variable, 0, len(self.dim)))
 
     def rows(self, values: gtsam.Values) -> Rows:
-        """The rows around values."""
         A, b = np.zeros((len(self.height), 3, 6)), np.zeros((len(self.height), 3, 1))
         self.chunk.put(values, self.variable, A, b)
         return Rows(self.variable, A, b, self.height, self.dim)
@@ -156,7 +155,6 @@ class _Linear:
         return values.retract(vector)
 
     def name(self, variable: int) -> str:
-        """Name of a variable."""
         return name_of(X(variable) if variable < self.poses else L(int(self.labels[variable - self.poses])))
 
 

@@ -46,15 +46,10 @@ USUAL = Noise()  # noise of the simulated robot
 
 
 class Framing:
-    """Make frames of packets; the first frame is the world's origin. `fit`: of walls, see `wings.robot.walls.FITS`.
-
-    Attributes:
-        count: frames so far.
-        observations: wall observations so far.
-    """
+    """Make frames of packets; the first frame is the world's origin. `fit`: of walls, see `wings.robot.walls.FITS`."""
 
     def __init__(self, noise: Noise = USUAL, fit: str = USUAL_FIT) -> None:
-        self.count = self.observations = 0
+        self.count = self.observations = 0  # frames and wall observations so far
         self._noise, self._walls = noise, WallObserver(noise.sonar_sigma, noise.slip, fit)
         self._before: Packet | None = None
 

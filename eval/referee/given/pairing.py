@@ -93,7 +93,6 @@ def _plain_if_better(path: GivenPath, other: GivenPath) -> GivenPath:
 
 
 def _overlap(time: Array, other: Array) -> float:
-    """Common span over the union of both."""
     common = min(time[-1], other[-1]) - max(time[0], other[0])
     whole = max(time[-1], other[-1]) - min(time[0], other[0])
     return max(float(common / whole), 0.0) if whole > 0.0 else 0.0

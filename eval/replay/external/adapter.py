@@ -555,7 +555,6 @@ class OwnInnovations:
     """NIS, likelihood and whitened innovations of a foreign estimator, frame by frame."""
 
     def __init__(self, expect: Callable[[FrameObservations], Expectation] | None, sensor: Sensor) -> None:
-        """`expect` of the estimator; None: it has none."""
         self._expect, self._sensor = expect, sensor
         self._rows, self._nu, self._S = np.empty(0, np.int64), np.empty(0), np.empty((0, 0))
         self._why = "it has no `expect`" if expect is None else ""  # why nothing can be formed

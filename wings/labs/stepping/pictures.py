@@ -321,7 +321,6 @@ class ImageWriter:
     """Writes images to windows, files, both, or nowhere."""
 
     def __init__(self, folder: Path | None, windows: Any) -> None:
-        """Make the folder. Raises UsageError if that fails."""
         self.folder, self.windows = folder, windows
         if folder is not None:
             try:
@@ -447,7 +446,6 @@ def _background_handles(gate: float | None) -> list[Line2D | Patch]:
 
 
 def _handles(m: Matching) -> list[Line2D | Patch]:
-    """What is drawn of decisions."""
     shapes = (("o", "paired"), ("*", "NEW"), ("x", "discarded"))
     handles: list[Line2D | Patch] = [_mark(s, f"observation: {what}") for s, what in shapes]
     handles += [*_background_handles(m.gate), _stroke("pairing")]
