@@ -41,7 +41,6 @@ def gate_threshold(probability: float | None, dof: int = 2) -> float:
 
 @lru_cache(maxsize=4096)
 def _chi2(probability: float, dof: int) -> float:
-    """Inverse chi-square distribution, cached."""
     return float(2.0 * gammaincinv(0.5 * dof, probability))
 
 

@@ -89,6 +89,5 @@ class Faces:
 
 
 def _along(foot: Array, direction: Array | float) -> Array:
-    """Coordinates of points (n, 2) along walls with these normals (n,)."""
     along: Array = foot[..., 1] * np.cos(direction) - foot[..., 0] * np.sin(direction)
     return along

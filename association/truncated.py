@@ -117,9 +117,7 @@ def _points(dimension: int) -> Array:
 def _sums(
     S: Array, W: Array, white: Array, x: Array, y: Array, gates: tuple[float, float, float]
 ) -> tuple[int, float, float]:  # pragma: no cover - compiled
-    """Count, sum and sum of squares of |w|^2 over the draws w (n, 2k) whose innovations x = L w pass all gates. W =
-    S^-1, y = W x; `gates`: individual, joint, conditional.
-    """
+    """Count, sum and sum of squares of |w|^2 over draws w (n, 2k) whose x = L w pass all gates; W = S^-1, y = W x."""
     n, d = white.shape
     individual, joint, conditional = gates
     count, total, squares = 0, 0.0, 0.0

@@ -17,21 +17,13 @@ UNREAD = -1  # Class of an observation whose class was not read
 
 @dataclass(frozen=True, eq=False)
 class Appearance(Locked):
-    """Descriptors and classes of observations or landmarks (M,), as measured.
+    """Descriptors and classes of observations or landmarks (M,), as measured."""
 
-    Attributes:
-        descriptor: (M,) in a unit of its own, NaN where not measured.
-        sigma: (M,) its standard deviation; 0 of a known landmark, which is exact.
-        category: (M,) row in `names`, `UNREAD` where not read.
-        error: (M,) probability that another class than the true one was read, all others alike; 0 as of sigma.
-        names: of the classes (C,).
-    """
-
-    descriptor: Array
-    sigma: Array
-    category: IntArray
-    error: Array
-    names: tuple[str, ...] = ()
+    descriptor: Array  # in a unit of its own, NaN where not measured
+    sigma: Array  # its standard deviation; 0 of a known landmark, which is exact
+    category: IntArray  # row in `names`, `UNREAD` where not read
+    error: Array  # probability that another class than the true one was read, all others alike; 0 as of sigma
+    names: tuple[str, ...] = ()  # of the classes
 
     def __len__(self) -> int:
         return len(self.descriptor)

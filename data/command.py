@@ -57,9 +57,7 @@ def without_places(text: str, words: Iterable[str]) -> str:
 
 
 class Parser(argparse.ArgumentParser):
-    """Reports errors in one line; flags must be written out, and examples keep their layout. A word that begins with a
-    minus and a digit is a value, as in `--view -60deg,60deg`.
-    """
+    """Errors are one line, flags are written out, examples keep their layout; a minus and a digit begin a value."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter, **options)
@@ -132,9 +130,7 @@ def complete(parser: argparse.ArgumentParser) -> None:
 
 
 def completed(words: list[str], commands: Iterable[str]) -> list[str]:
-    """The words of `slamref`; if the shell asks for completions, those of the subcommand, which answers. Names of
-    commands are completed here, and the process ends.
-    """
+    """The words of `slamref`; completes names of commands for the shell and ends, a subcommand answers for its own."""
     if COMPLETION not in os.environ:
         return words
     before = os.environ["COMP_LINE"][: int(os.environ["COMP_POINT"])].split(" ")

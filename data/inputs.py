@@ -87,17 +87,11 @@ ERRORS = {
 
 @dataclass(frozen=True, eq=False)
 class Systematic:
-    """Systematic errors to estimate together with the state, a priori zero.
+    """Systematic errors (p,) to estimate together with the state, a priori zero."""
 
-    Attributes:
-        names: (p,) keys of `ERRORS`, in their order.
-        sigma: (p,) prior standard deviations; of the drift, at any time.
-        length: m, distance over which the drift's correlation falls to 1/e; all others are constant.
-    """
-
-    names: tuple[str, ...]
-    sigma: Array
-    length: float = 50.0
+    names: tuple[str, ...]  # keys of `ERRORS`, in their order
+    sigma: Array  # prior standard deviations; of the drift, at any time
+    length: float = 50.0  # m, distance over which the drift's correlation falls to 1/e; all others are constant
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -118,30 +112,18 @@ class Systematic:
 
 
 class Frame(NamedTuple):
-    """All that is known of one instant when it arrives, from a log or a live robot.
+    """All that is known of one instant when it arrives, from a log or a live robot."""
 
-    Attributes:
-        number: of the frame, from 0.
-        time: s (the number of the frame without stamps).
-        increment: motion from the frame before; None in the first frame.
-        label: (m,) as in `LabelledObservations`, or None if not granted.
-        first: number of earlier observations: observation i of this frame is number first + i of the log.
-        fixes: absolute measurements of its pose, or None.
-        closures: measured relative poses of which it is the later frame, or None.
-        sensor: (m,) of each observation, as in `Observations`; None: the log has one.
-        appearance: (m,) as in `Observations`.
-    """
-
-    number: int
-    time: float
-    increment: Increment | None
+    number: int  # of the frame, from 0
+    time: float  # s (the number of the frame without stamps)
+    increment: Increment | None  # motion from the frame before; None in the first frame
     observations: FrameObservations
-    label: IntArray | None
-    first: int
-    fixes: Fixes | None = None
-    closures: Closures | None = None
-    sensor: IntArray | None = None
-    appearance: Appearance | None = None
+    label: IntArray | None  # (m,) as in `LabelledObservations`, or None if not granted
+    first: int  # number of earlier observations: observation i of this frame is number first + i of the log
+    fixes: Fixes | None = None  # absolute measurements of its pose
+    closures: Closures | None = None  # measured relative poses of which it is the later frame
+    sensor: IntArray | None = None  # (m,) of each observation, as in `Observations`; None: the log has one
+    appearance: Appearance | None = None  # (m,) as in `Observations`
 
     def part(self, rows: slice) -> Frame:
         """The same frame with some of its observations."""
@@ -163,21 +145,14 @@ class Frame(NamedTuple):
 
 @dataclass(frozen=True)
 class Scanner:
-    """A planar laser scanner: beam i points at angle_min + i * angle_step in its own frame.
+    """A planar laser scanner: beam i points at angle_min + i * angle_step in its own frame."""
 
-    Attributes:
-        angle_min, angle_step: rad.
-        max_range: m; a longer range is no return.
-        sigma: m, of a range.
-        rotation, translation: rad, m: p_scanner = R(rotation) p_body + translation.
-    """
-
-    angle_min: float
-    angle_step: float
-    max_range: float
-    sigma: float
-    rotation: float = 0.0
-    translation: tuple[float, float] = (0.0, 0.0)
+    angle_min: float  # rad
+    angle_step: float  # rad
+    max_range: float  # m; a longer range is no return
+    sigma: float  # m, of a range
+    rotation: float = 0.0  # rad, of p_scanner = R(rotation) p_body + translation
+    translation: tuple[float, float] = (0.0, 0.0)  # m
 
     def mounted(self, *, clockwise: bool, turned: float) -> Scanner:
         """In the same place of the body, with its beams the other way round (`clockwise`), turned by an angle [rad]."""

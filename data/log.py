@@ -161,7 +161,6 @@ class Log:
         return "\n".join([f"Log {self.name}", *(f"  {what}: {value}" for what, value in self._facts())])
 
     def _repr_html_(self) -> str:
-        """Notebook view: contents of the log."""
         return table_html(f"Log {self.name}", self._facts())
 
 

@@ -22,19 +22,12 @@ SAME_PLACE = 0.25  # largest distance of a true detection's corners, over the pi
 
 @dataclass(frozen=True, eq=False)
 class VisualSetup:
-    """The survey before the robot starts.
+    """The survey before the robot starts."""
 
-    Attributes:
-        rotation: rad, of R in p_c = R p_b + T, in plan.
-        translation: (2,) m, T.
-        corners: (L, 4, 2) m, corners of each picture in the world's plan; upper and lower ones coincide.
-        prior: of the first pose.
-    """
-
-    rotation: float
-    translation: tuple[float, float]
-    corners: Array
-    prior: Prior
+    rotation: float  # rad, of R in p_c = R p_b + T, in plan
+    translation: tuple[float, float]  # m, T
+    corners: Array  # (L, 4, 2) m, corners of each picture in the world's plan; upper and lower ones coincide
+    prior: Prior  # of the first pose
 
     @property
     def width(self) -> Array:

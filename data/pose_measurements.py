@@ -69,7 +69,6 @@ class _Known(Locked):
         return None if a == b else self.only(slice(a, b))
 
     def before(self, frame: int) -> Self:
-        """Those known before a frame."""
         return self.only(slice(int(np.searchsorted(self.later, frame))))
 
 

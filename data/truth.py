@@ -14,24 +14,15 @@ UNKNOWN_ID = -2  # True id of an observation whose id is unknown (blank in the f
 
 @dataclass(frozen=True, eq=False)
 class Relations(Locked):
-    """Reference relations: relative poses between frames, known without a true path.
+    """Reference relations (K): relative poses between frames, known without a true path."""
 
-    Attributes:
-        row1, row2: (K,) frames.
-        relative: (K, 3), pose of row2 in the frame of row1 [m, m, rad].
-        exact: (K,) 1 where both rows are certain, else 0; None: not stated.
-        stamp: (K, 2) s, the reference's own stamps; None: rows only.
-        frame_stamp: (N,) s, the frames' recorded stamps, not made monotone; None: the log's time.
-        covariance: (K, 3, 3) of the relative pose, in the frame of row1; None: not stated.
-    """
-
-    row1: IntArray
+    row1: IntArray  # frames
     row2: IntArray
-    relative: Array
-    exact: IntArray | None = None
-    stamp: Array | None = None
-    frame_stamp: Array | None = None
-    covariance: Array | None = None
+    relative: Array  # (K, 3), pose of row2 in the frame of row1 [m, m, rad]
+    exact: IntArray | None = None  # 1 where both rows are certain, else 0; None: not stated
+    stamp: Array | None = None  # (K, 2) s, the reference's own stamps; None: rows only
+    frame_stamp: Array | None = None  # (N,) s, the frames' recorded stamps, not made monotone; None: the log's time
+    covariance: Array | None = None  # (K, 3, 3) of the relative pose, in the frame of row1; None: not stated
 
     def __len__(self) -> int:
         return len(self.row1)

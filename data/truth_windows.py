@@ -45,18 +45,14 @@ class MapRow(NamedTuple):
 
 
 class _Evidence(NamedTuple):
-    """Observations of identified landmarks from known true poses, ascending by frame.
-
-    frame, id: (n,); z, place: (n, 2); root: (n, 2, 2) inverse roots of their covariances; scale: (2,) robust spread of
-    their residuals, at least 1.
-    """
+    """Observations (n) of identified landmarks from known true poses, ascending by frame."""
 
     frame: IntArray
     id: IntArray
     z: Array
-    root: Array
-    place: Array
-    scale: Array
+    root: Array  # (n, 2, 2) inverse roots of their covariances
+    place: Array  # (n, 2) of their landmarks
+    scale: Array  # (2,) robust spread of their residuals, at least 1
 
 
 def bad_truth(log: Log) -> tuple[BadTruth, ...]:
@@ -145,9 +141,7 @@ def _inside(log: Log, time: Array, stretches: Sequence[tuple[float, float]]) -> 
 
 
 def misplaced(log: Log) -> tuple[MapRow, ...]:
-    """Rows of the map whose landmarks are observed elsewhere from the true path, or from where the others of the map
-    have the robot; none where half of the map is.
-    """
+    """Rows of the map that are seen elsewhere from the true path or the rest of the map; none if half of it is."""
     inputs = log.recorded
     if inputs.map is None or (log.truth.pose is None and (log.granted is None or not inputs.locates_points)):
         return ()
@@ -229,9 +223,7 @@ def _distance(log: Log, poses: Array, seen: _Evidence, rows: Rows = slice(None))
 
 
 def _contradicted(log: Log, pose: Array, odometry: Array, seen: _Evidence) -> list[tuple[int, int, float, float]]:
-    """Stretches of observations (first and last row) that odometry predicts better than the truth, and the medians of
-    their distances from both, in robust sigmas.
-    """
+    """Stretches (first, last row) where odometry predicts better than the truth; median distances from both."""
     squared = _distance(log, pose[seen.frame], seen)
     found = []
     for a, b in _stretches(np.minimum(squared, 2.0 * FAR) - FAR):
@@ -330,9 +322,7 @@ class _Steps:
         return int(self.known[k + 1]) if self.size[k] > STEP else None
 
     def excursions(self) -> list[tuple[int, int]]:
-        """First and last frames between a step of the truth, or its standstill before one, and the first step after
-        which it is back, whatever it did in between.
-        """
+        """First and last frames between a step of the truth (or its standstill before) and the step that ends it."""
         found: list[tuple[int, int]] = []
         still = np.max(np.abs(self.true), axis=1) < STILL
         ends = self.large[~np.isin(self.large + 1, self.large)]  # who leaps on was not back

@@ -30,9 +30,7 @@ def whole_file(path: str | PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def whole_folder(path: str | PathLike[str]) -> Iterator[Path]:
-    """An empty folder to fill, which replaces the folder `path` when the block ends without error. Parents are created.
-    The caller checks whether an existing folder may be replaced.
-    """
+    """An empty folder to fill that replaces `path` when the block ends without error; the caller checks if it may."""
     target = Path(os.path.abspath(path))
     target.parent.mkdir(parents=True, exist_ok=True)
     _sweep(target)

@@ -104,7 +104,6 @@ class Filter:
 
     @property
     def _used(self) -> int:
-        """Length of the buffers in use."""
         return self.size + self._carried
 
     def _grow(self, extra: int) -> None:

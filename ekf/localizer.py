@@ -158,9 +158,7 @@ class EkfLocalizer(Filter):
         self.size += 2 * len(new)
 
     def reset(self, mean: Array, covariance: Array) -> None:
-        """Set pose (3,) and covariance (3, 3), and keep the systematic errors; earlier poses are no longer known.
-        Landmarks begin again with their places in the map.
-        """
+        """Set pose (3,) and covariance (3, 3), keep the errors; earlier poses are lost, landmarks as in the map."""
         self._version += 1
         self._clones.frames.clear()
         self._carried = 0

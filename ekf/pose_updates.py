@@ -28,16 +28,12 @@ Measure = Callable[[Array, Array], tuple[Array, Array]]
 
 
 class MeasurementModel(NamedTuple):
-    """A measurement of the pose, or of the pose relative to an earlier one.
+    """A measurement of the pose, or of the pose relative to an earlier one."""
 
-    rows: entries of (x, y, theta) that are measured, m of them; measure: of the states pose and errors, and the earlier
-    pose if there is one; R: (m, m); earlier: its frame, None: there is none.
-    """
-
-    rows: list[int]
-    measure: Measure
-    R: Array
-    earlier: int | None = None
+    rows: list[int]  # entries of (x, y, theta) that are measured, m of them
+    measure: Measure  # of the states pose and errors, and the earlier pose if there is one
+    R: Array  # (m, m)
+    earlier: int | None = None  # its frame
 
 
 def absorb(
@@ -75,9 +71,7 @@ def absorb(
 def _innovation(
     measure: Measure, prior: Array, point: Array, jacobian_at: Array, P: Array, R: Array
 ) -> tuple[Array, Array, Array | None, Array]:
-    """Innovation of the prior linearized at a point, its Jacobian, the root L of its covariance, and L^-1 of it. L is
-    None where the covariance is not positive definite.
-    """
+    """Innovation about `point`, its Jacobian, L of its covariance (None: not positive definite), L^-1 of it."""
     nu, H = measure(point, jacobian_at)
     if point is not prior:
         nu = nu - H @ (prior - point)
@@ -214,9 +208,7 @@ class Clones:
             self._ends.setdefault(last, []).append(frame)
 
     def at(self, measured: MeasurementModel, base: int, size: int) -> IntArray | None:
-        """States (q,) that are measured: pose and errors, the leading `base`, and an earlier pose from `size` on. None:
-        the earlier pose is not in the state.
-        """
+        """States (q,) measured: pose and errors (`base`), an earlier pose from `size` on; None: that is not there."""
         present = np.arange(base)
         if measured.earlier is None:
             return present

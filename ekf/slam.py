@@ -54,7 +54,6 @@ class EkfSlam(Filter):
             self._first[:d] = self._first[index]
 
     def _renumber(self, number: IntArray) -> None:
-        """Set the landmark numbers of the slots."""
         self._number = number
         self._offset = {int(n): self.base + 2 * i for i, n in enumerate(number)}
 
@@ -177,7 +176,6 @@ class EkfSlam(Filter):
         self._begin_epoch_if_due()
 
     def _marginalize_parked(self, removed: IntArray) -> None:
-        """Marginalize parked landmarks out."""
         parked = self._parked
         out = np.isin(parked.recent, removed)
         if out.any():

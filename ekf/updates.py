@@ -270,9 +270,7 @@ def of_frame(
 
 @njit
 def gate(found: Innovation, threshold: float, begin: int, done: Outcome) -> int:
-    """Which pairings from `begin` on have a squared Mahalanobis distance below `threshold`, by their own blocks of S,
-    and their whitened innovations; returns the number.
-    """
+    """Pairings from `begin` on with squared distance below `threshold`, and white innovations; returns the number."""
     nu, _, S = found
     count = 0
     for i in range(len(nu) // 2):

@@ -162,9 +162,7 @@ class Joining(NamedTuple):
 
 
 def joining_of(inputs: Inputs, decided: IntArray) -> Joining | None:
-    """Landmarks that join the state by rows of the map `decided` (M,); None in an exact map. Raises ValueError for an
-    uncertain map beside a range error, or of walls.
-    """
+    """Landmarks that join by rows of the map `decided` (M,); None: exact map. ValueError: range error, walls."""
     known = inputs.map
     if known is None or known.sigma is None:
         return None
@@ -218,9 +216,7 @@ def run(
     kind: int, extrinsic: Array, mean: Array, P: Array, d: int, steps: Steps, variance: float, how: UpdateRule,
     errors: Errors, track: Track,
 ) -> tuple[int, int, int]:  # fmt: skip
-    """Fill `track` and the outcomes of `steps`, from a state of d entries, in compiled code. `variance`: of a new
-    landmark, negative: exact. Returns (d, status, frame of the failure).
-    """
+    """Fill `track` and outcomes of `steps` from d entries. Returns (d, status, frame of the failure)."""
     first, seen = how.first, steps.seen
     n, base = len(steps.motion), 3 + len(errors.place)
     for f in range(n):

@@ -96,7 +96,6 @@ def _numbers_of(folder: Path) -> Numbers:
 
 
 def _report(log: Log, tuning: Tuning) -> list[str]:
-    """The lines of the printed report."""
     task = "SLAM" if tuning.model.inputs.map is None else "localization"
     lines = [] if tuning.doubtful is None else [f"warning: {tuning.doubtful}", ""]
     lines += [f"{log.name}: {counted(len(tuning.model.inputs), 'frame')}, {task}, known association", ""]

@@ -311,9 +311,7 @@ VAGUE = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Parameters (n,) at the largest likelihood, standard errors (NaN unless fitted), and status (n,). `gain`: increase
-    of log-likelihood over the log as stated.
-    """
+    """Parameters (n,) of largest likelihood, standard errors (NaN: not fitted), status; `gain` over the log stated."""
 
     theta: Array
     error: Array

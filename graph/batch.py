@@ -119,7 +119,6 @@ def build(
 
 
 def _of_poses(inputs: Inputs, loss: str, rejected: Rejected) -> list[PoseFactor]:
-    """Fixes and closures as factors."""
     found = list[PoseFactor]()
     if (f := inputs.fixes) is not None:
         found += _without(fix_factors(f.frame.tolist(), f, f.sources, loss), rejected.fixes)

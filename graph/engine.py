@@ -91,7 +91,6 @@ class Engine:
         return other
 
     def _thresholds(self) -> gtsam.ISAM2ThresholdMap:
-        """Relinearization thresholds by kind of variable."""
         found = gtsam.ISAM2ThresholdMap()
         for kind, size in self._sizes.items():
             found.insert((kind, np.full(size, (FURTHER if kind in self.linear else 1.0) * self.threshold)))
@@ -129,7 +128,6 @@ class Engine:
         return self._next - 1
 
     def _release(self, handles: Sequence[int]) -> list[int]:
-        """Release factors; returns their slots."""
         for h in handles:
             del self._factors[h]
         return [self._slot.pop(h) for h in handles]
@@ -355,9 +353,7 @@ class Window(Engine):
         return [gtsam.BetweenFactorPoint2(L(a), L(b), np.zeros(2), model) for a, b in pairs.items()]
 
     def marginalize(self, keys: Sequence[int], last: Sequence[int]) -> None:
-        """Marginalize variables; `last` stay the last ones in the order of elimination. Their neighbours are
-        relinearized first, since they keep their linearization point afterwards.
-        """
+        """Marginalize; `last` stay last. Neighbours, whose linearization point is kept, are relinearized first."""
         # gtsam 4.3 corrupts the rest of a clique with a hard constraint (it removes rows of the conditional, not of its
         # noise model); the factors are right, so it is eliminated once more
         hard = any(_is_hard(self._factors[h]) for h in self._handle.values())

@@ -178,9 +178,7 @@ def _roots(covariance: Array, R: Array, pivot: Array) -> None:
 
 
 def invertible_roots(covariance: Array, name: Callable[[int], str], remedy: str) -> tuple[Array, float]:
-    """`root_information` of covariances (n, d, d) of motions, and the smallest pivot of all. Raises DataError for a
-    singular one, with the name of its row and the `remedy`.
-    """
+    """`root_information` (n, d, d), and the smallest pivot. DataError with `name` of a singular row and `remedy`."""
     roots, pivot = root_information(covariance)
     least = float(pivot.min(initial=np.inf))
     if not least > SINGULAR:
@@ -197,9 +195,7 @@ def increment_roots(first_frame: int, covariance: Array) -> tuple[Array, float]:
 
 
 def observation_roots(covariance: Array, R: Array, frame: IntArray) -> Array:
-    """`root_information` of covariances (m, d, d) derived from R (m, 2, 2), those of observations from frames (m,).
-    Raises DataError for one that is not positive definite.
-    """
+    """`root_information` (m, d, d) from R (m, 2, 2) of frames (m,). DataError: one is not positive definite."""
     roots, pivot = root_information(covariance)
     if not pivot.min(initial=np.inf) > 0.0:
         i = np.flatnonzero(~(pivot > 0.0))[0]

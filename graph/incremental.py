@@ -345,9 +345,7 @@ class Isam2Smoother:
         self._candidates.move(increment)
 
     def inflate(self, covariance: Array) -> None:
-        """Add an isotropic covariance (3, 3) to the last motion, whatever the frame's fixes and closures said since.
-        Raises ValueError after observations of the frame.
-        """
+        """Add an isotropic covariance (3, 3) to the last motion. ValueError after observations of the frame."""
         if self._motion is None:
             self._end.inflate(covariance)
         else:
@@ -466,9 +464,7 @@ class Isam2Smoother:
         return e.innovation_statistics(rows[keep], which[keep])
 
     def _extend(self, observations: FrameObservations, number: IntArray, *, again: bool = False) -> None:
-        """Add the motion since the anchor and these observations to the graph, and read the newest pose. `again`: that
-        is in the graph, and linearized where it was placed now.
-        """
+        """Add the motion since the anchor and observations, read the newest pose; `again`: it is in the graph."""
         (motion, values), self._motion = self._flush(), None
         if again:
             values.insert(X(self.frame), pose2(self._end.mean))
@@ -559,9 +555,7 @@ class Isam2Smoother:
         return [p.factor for p, yes in zip(factors, done.used.tolist(), strict=True) if yes]
 
     def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
-        """Replace the pairings of frames (m,) up to now by observations (m) and decisions (m,), negative for none. In
-        SLAM this is only for `finish`, and for all observations.
-        """
+        """New pairings of frames (m,): observations (m), decisions (m,); in SLAM of all, for `finish` alone."""
         if self.map is None:
             self._observed.replace(frames, observations, decisions)
             return
@@ -585,7 +579,6 @@ class Isam2Smoother:
         return factors, values
 
     def _read(self) -> None:
-        """Read the newest pose from the engine."""
         self._end.read(self._engine)
 
     def hold(self, frame: int) -> None:
@@ -607,9 +600,7 @@ class Isam2Smoother:
     def initialize(
         self, frames: IntArray, sensors: Sequence[Sensor], observations: FrameObservations, xy: Array
     ) -> tuple[int, float, int, float]:
-        """A new landmark that starts at xy (2,), with all its observations (m) by sensors (m), from frames (m,).
-        Returns its number; a smoother forms no innovations, so NaN, 0 and NaN.
-        """
+        """A new landmark at xy (2,) with its observations (m) by sensors (m) from frames (m,); innovations are NaN."""
         number, values, present = self.created, gtsam.Values(), self.sensor
         self.created += 1
         values.insert(L(number), xy)

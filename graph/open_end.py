@@ -164,7 +164,6 @@ class OpenEnd:
         self._reset()
 
     def _reset(self) -> None:
-        """Reset the newest pose to the anchor."""
         self.mean, self.b, self.whole = self._origin
         self._path, self._path_b = list[Array](), list[Array]()
         self._steps = list[tuple[Array, Array]]()  # of each increment: Jacobian and noise of pose and errors
@@ -317,9 +316,7 @@ class OpenEnd:
     def _factors(
         self, first: int, increments: Sequence[Increment], knots: Sequence[int]
     ) -> tuple[Sequence[factors.Factor], float]:
-        """Factors of increments (n) into frames `first`, ..., with the knots (n,) of their drift, and the smallest
-        pivot of the covariances. Raises DataError for a singular one.
-        """
+        """Factors of increments (n) with knots (n,) of drift, and the smallest pivot. DataError: one is singular."""
         mean, covariance = (np.array(rows) for rows in zip(*increments, strict=True))
         if not self._errors.names:
             return factors.between_factors(first, mean, covariance)
@@ -333,9 +330,7 @@ class OpenEnd:
         self._propagate_again()
 
     def _settle(self, engine: Engine, before: gtsam.Pose2) -> None:
-        """Read the anchor from the graph, after more updates if it jumped away from `before`. With errors until the
-        pose stays: a loop closure changes them, and they the path.
-        """
+        """Read the anchor, after more updates if it jumped from `before`; with errors until the pose stays."""
         if not self._errors.names:
             pose = engine.settle(self.keys[0], before)
             B = world_from_body(pose.theta())

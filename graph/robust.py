@@ -37,7 +37,6 @@ class _At(NamedTuple):
     rest: float
 
     def cost(self, weight: Array) -> float:
-        """Weighted sum of squares."""
         return self.rest + float(weight @ self.square)
 
 

@@ -217,7 +217,6 @@ def _logarithm(theta: float) -> tuple[float, float]:
 
 @njit
 def _product(left: Array, right: Array, out: Array) -> None:
-    """Left @ right, (3, 3) each, into `out`."""
     for i in range(3):
         for j in range(3):
             out[i, j] = left[i, 0] * right[0, j] + left[i, 1] * right[1, j] + left[i, 2] * right[2, j]

@@ -125,7 +125,6 @@ def _with(table: Table, place: str, given: Mapping[str, tuple[str, ArrayLike | N
 
 
 def _columns(place: str, values: Mapping[str, Any], known: Columns) -> Table:
-    """Columns (K,) by name."""
     names = (*known.required, *known.optional, SOURCES)
     for key in values:
         if key not in names:

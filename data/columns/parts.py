@@ -71,9 +71,7 @@ class Parts(NamedTuple):
 
 
 def parts_of(header: Header, tables: Mapping[str, Table]) -> Parts:
-    """A log from its tables by file name, one of `FRAMES` and `ODOMETRY` among them; the covariance floor is applied.
-    DataError with file, line, column and value.
-    """
+    """A log from its tables by file name, with the covariance floor. DataError with file, line, column and value."""
     key, gaps = "frame" if FRAMES in tables else "t", 0
     keyed = {OBSERVATIONS: (key,), FIXES: (key,), CLOSURES: ENDS[key]}
     keyed = {name: columns for name, columns in keyed.items() if name in tables}

@@ -100,9 +100,7 @@ def may_be_blank(sensors: Sequence[Stated]) -> tuple[str, ...]:
 
 
 def observed(table: Table, sensors: Sequence[Stated]) -> tuple[Array, Array, IntArray | None]:
-    """Z (M, 2) and R (M, 2, 2) of each row, with its own noise or else the sensor's, and the sensor's row (M,) among
-    `sensors`, at least one; None: there is one.
-    """
+    """Z (M, 2), R (M, 2, 2) with the row's or the sensor's noise, and the row (M,) of the sensor, None for one."""
     number = source_rows(table, [s.sensor.label for s in sensors], SENSOR, SENSOR)
     table.require_finite(("z1",))
     table.require_finite([n for n in ("z2", *NOISE) if n in table], blank=bool(may_be_blank(sensors)))

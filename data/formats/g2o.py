@@ -64,20 +64,16 @@ class Edges:
 
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """A graph in the plane: its file, and edges by what they measure.
-
-    Measured by `polar` are range and bearing; by `prior` and `position` poses and their positions, with both ends the
-    same.
-    """
+    """A graph in the plane: its file, and edges by what they measure."""
 
     file: graph_file.GraphFile
     motion: Edges
     observation: Edges
     bearing: Edges
     range: Edges
-    polar: Edges
-    prior: Edges
-    position: Edges
+    polar: Edges  # range and bearing
+    prior: Edges  # poses, with both ends the same
+    position: Edges  # positions of poses, the same
 
     @property
     def path(self) -> Path:
@@ -314,7 +310,6 @@ def _closures(graph: Graph, ids: IntArray, used: IntArray) -> Closures | None:
 
 
 def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
-    """Notes about differences from the file."""
     notes = ["One pose has a line; the others begin where the edges put them"] if graph.file.alone else []
     loops = len(graph.motion) - len(used)
     if loops:

@@ -46,7 +46,6 @@ def numbered_rows(text: str) -> list[tuple[int, str]]:
 
 
 def _stamped(fields: dict[str, str]) -> dict[str, str]:
-    """With one field for the seconds and nanoseconds of a stamp."""
     out: dict[str, str] = {}
     for name, value in fields.items():
         stamp, _, part = name.rpartition(".")

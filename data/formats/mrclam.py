@@ -178,9 +178,7 @@ def robot_file(robot: int, what: str) -> str:
 
 
 def open_files(source: Path) -> Files:
-    """Files of a dataset: `source` is a folder or a zip that holds them, or whose only subfolder does. Raises DataError
-    if it is neither, or holds no dataset or several.
-    """
+    """Files in a folder or zip, or in its only subfolder that holds any. DataError: neither, no dataset, or several."""
     if not source.exists():
         raise DataError.at(source, "no such folder or zip file")
     try:
@@ -350,9 +348,7 @@ def is_mrclam(source: Path) -> bool:
 
 
 def corrected_landmarks(source: Path) -> Path | None:
-    """`Landmark_Groundtruth.corrected.dat` in or beside a dataset, if it has the same places under exchanged numbers. A
-    file for another dataset has other places.
-    """
+    """`Landmark_Groundtruth.corrected.dat` in or beside a dataset, if it has the same places."""
     source = Path(source)
     files = open_files(source)
     published = read_landmarks(files)

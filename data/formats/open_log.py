@@ -318,7 +318,6 @@ def _is_latest(log: Log) -> bool:
 
 
 def _header(log: Log, name: str, samples: Samples | None) -> dict[str, Any]:
-    """Contents of log.toml."""
     inputs = log.recorded
     plain: dict[str, object] = {
         "format": LATEST if _is_latest(log) else FORMAT, "name": name, "time_is_index": inputs.time_is_index,

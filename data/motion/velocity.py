@@ -64,9 +64,7 @@ def step(model: int, displacement: float, rotation: float, mean: Array, G: Array
 
 
 def carried(heading: float, motion: Array) -> tuple[float, float, Array, Array]:
-    """A pose of this heading after an increment `motion` (3,): displacement in x and y, and Jacobians (3, 3). F to the
-    pose and B to the increment: its covariance becomes F P F' + B M B'.
-    """
+    """Displacement of an increment (3,) at a heading; F to the pose, B to the increment: P becomes F P F' + B M B'."""
     c, s = math.cos(heading), math.sin(heading)
     wx, wy = c * motion[0] - s * motion[1], s * motion[0] + c * motion[1]
     F = np.array([[1.0, 0.0, -wy], [0.0, 1.0, wx], [0.0, 0.0, 1.0]])

@@ -91,7 +91,6 @@ def simulate(mixed: Mixed, seed: int, name: str | None = None) -> Log:
 
 
 def _stride(mixed: Mixed, period: float) -> int:
-    """Frames between two measurements."""
     return max(1, round(period / mixed.period))
 
 

@@ -111,9 +111,7 @@ def simulate(park: Park, seed: int, name: str | None = None) -> Log:
 
 
 def _route(park: Park, rng: np.random.Generator) -> tuple[Array, Array]:
-    """True distance [m] and turn [rad] (N,) of each frame: paths of a grid, quarter turns at its crossings. The start
-    is the end of a turn at crossing (0, 0), heading east.
-    """
+    """True distance [m] and turn [rad] (N,) by frame, along a grid with quarter turns, from crossing (0, 0) east."""
     straight, across = park.block - 2 * RADIUS, 2 * RADIUS
     arc = 0.5 * math.pi * RADIUS / TURN
     driven: dict[tuple[int, int, int], int] = {}

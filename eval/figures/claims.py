@@ -90,7 +90,6 @@ def claims_figure(log: Log, runs: Sequence[Run]) -> Figure:
 
 
 def _nis_axis(ax: Axes, found: Sequence[Stretches]) -> None:
-    """Bounds behind the curves, and a scale that shows both."""
     ax.set_ylabel("NIS per dof [–]")
     if not found:
         ax.text(0.5, 0.5, "no innovations were formed", transform=ax.transAxes, ha="center", va="center")
@@ -185,9 +184,7 @@ def _scale(axes: Sequence[Axes], curves: Sequence[Array], lower: float, upper: f
 
 @house.drawing()
 def nees_figure(log: Log, runs: Sequence[Run]) -> Figure:
-    """NEES of the pose, or of a position whose truth has no headings, per frame of every phase, its mean, and the 95 %
-    band of one value; it describes one run only.
-    """
+    """NEES of the pose (or position) per frame of every phase, its mean, and the 95 % band of one value."""
     shown, remark = panels(runs)
     rows = max(len(shown), 1)
     fig = Figure(figsize=(house.page_width(), 1.0 + 1.15 * rows))

@@ -131,7 +131,6 @@ def _by_importance(runs: Sequence[Run], kinds: Sequence[tuple[int, int]]) -> lis
 
 
 def _place(order: Sequence[str], run: Run) -> int:
-    """Place of a run's association; one without any comes last."""
     return order.index(run.association) if run.association in order else len(order)
 
 

@@ -407,9 +407,7 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = N
 
 
 def save_for_page(draw: Callable[[], Figure], folder: Path, stem: str, drawn: Figure | None = None) -> None:
-    """Save a figure (`drawn` already, or not), and drawn again as wide as a phone as `folder/stem-narrow.png`. If a
-    width was asked for, there is none for phones.
-    """
+    """Save a figure (`drawn` or not), and as `folder/stem-narrow.png` for phones unless a width was asked for."""
     save(draw() if drawn is None else drawn, folder, stem)
     if current().width is None:
         with figure_style(replace(USUAL, width=PHONE)):

@@ -46,9 +46,7 @@ class Group:
 def trusted(
     experiments: Sequence[Experiment], trials: Sequence[Trial], options: Options, lost: Unfinished, progress: Progress
 ) -> tuple[Trust, ...]:
-    """Consistency of each log, in the order of `experiments` and their association methods. Logs that run out of memory
-    are left out, and reported to `lost`.
-    """
+    """Consistency of each log and association method, in order; what runs out of memory is reported to `lost`."""
     groups = [g for e, t in zip(experiments, trials, strict=True) for g in _groups(e, t, options.study)]
     jobs = [Job(i, statistics_of, (g,)) for i, g in enumerate(groups)]
     found = dict(work(jobs, options.execution, lost=lambda i, why: groups[i].lacks(lost, why)))
@@ -57,7 +55,6 @@ def trusted(
 
 
 def _count(study: Study) -> int:
-    """Number of twins of each log."""
     return (TWINS if study.full else 0) if study.twins is None else study.twins
 
 

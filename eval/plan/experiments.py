@@ -112,7 +112,6 @@ def _check_names(things: Sequence[tuple[int, str]], kind: str = "logs") -> None:
 
 
 def _scenarios(options: Options) -> Plan:
-    """Studies of the given scenarios."""
     asked, estimators = options.selection, options.selection.estimator
     if options.study.runs == 0:
         raise UsageError("--runs 0: a scenario needs at least one run")

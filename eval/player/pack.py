@@ -36,7 +36,6 @@ class Pack:
     """A chunk under construction."""
 
     def __init__(self, first: int, frames: int) -> None:
-        """For a number of frames from `first`."""
         self.first, self.frames = first, frames
         self._entries: list[dict[str, Any]] = []
         self._parts: dict[bytes, int] = {}

@@ -60,9 +60,7 @@ class Finding:
 
 
 def systematic_errors(scored: Scored, factors: Mapping[str, float], limit: float, most: int = MOST) -> list[Finding]:
-    """At most `most` systematic errors by forward selection, with their joint sizes. Scores are divided by the
-    `factors` of their component's stated sigma; the limit is in sigmas.
-    """
+    """At most `most` systematic errors by forward selection, with sizes; scores over `factors` of their sigmas."""
     # `<component>_<regressor>`, where that of odometry has two words
     components = ("_".join(n.split("_")[: 1 + n.startswith("odometry")]) for n in scored.names)
     weight = np.array([1.0 / max(1.0, factors.get(component, 1.0)) for component in components])

@@ -232,7 +232,6 @@ def of_wings(trial: Trial, trials: Sequence[Trial]) -> list[Notice]:
 
 
 def _all(run: Run, trial: Trial, scores: Scores) -> Iterator[Notice]:
-    """Notices of one run."""
     if run.flaw is not None:
         yield run.flaw.notice.about(frame=run.flaw.frame)
     names = run.estimator, run.association

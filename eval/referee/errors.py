@@ -150,9 +150,7 @@ TOLERANCE = 0.1
 
 
 def pairs_by_way(position: Array, distance: float, tolerance: float | None = None) -> tuple[IntArray, IntArray]:
-    """Rows i < j (p,) of positions (n, k) `distance` apart along the path; of equally near ones the first. `tolerance`
-    [m]: largest deviation; None: a tenth of the distance.
-    """
+    """Rows i < j (p,) of positions (n, k) `distance` apart along the path, give or take `tolerance` (a tenth)."""
     n = len(position)
     if n < 2:
         return np.empty(0, np.int64), np.empty(0, np.int64)

@@ -65,7 +65,6 @@ def intervals(
 
 
 def _contrast(columns: Array) -> Array:
-    """Values of one run (..., 1), or the first run's minus the second's (..., 2)."""
     return columns[..., 0] if columns.shape[-1] == 1 else columns[..., 0] - columns[..., 1]
 
 

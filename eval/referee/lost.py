@@ -149,9 +149,7 @@ def informed(run: Run) -> bool:
 
 
 def unused(run: Run, inputs: Inputs | None = None) -> Notice | None:
-    """A notice where hardly any observation was paired, or (with `inputs`) where the log has none to pair. None where
-    fixes or closures were used: that is no dead reckoning.
-    """
+    """A notice where hardly any observation is paired, or there is none; None where fixes or closures were used."""
     sources = (run.fixes, run.closures, run.fixes_final, run.closures_final)
     if run.association == "none" or run.failure is not None or any(s is not None and s.used.any() for s in sources):
         return None

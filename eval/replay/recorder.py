@@ -45,7 +45,6 @@ class Recorder:
         self._enter(k, done.nis, done.dof, done.log_likelihood, done.moments)
 
     def _enter(self, k: int, nis: float, dof: int, log_likelihood: float, moments: tuple[float, float] | None) -> None:
-        """Add innovations to those of a frame, if they were formed."""
         if math.isfinite(nis):
             formed = math.isfinite(self._nis[k])
             self._nis[k] = self._nis[k] + nis if formed else nis

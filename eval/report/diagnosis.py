@@ -202,9 +202,7 @@ def _nees(trust: Trust) -> tuple[tuple[str, str, float], ...]:
 
 
 def _deciding(trust: Trust) -> tuple[dict[str, object], ...]:
-    """Estimators that decide alike: means over the replicates of wrong pairings, missed ones, all decisions, and the
-    share of right ones; empty with labels and without replicates.
-    """
+    """By estimators that decide alike: means over replicates of wrong, missed, all, and the share of right ones."""
     alike: dict[tuple[float, ...], list[str]] = {}
     for name in dict.fromkeys(n for s in trust.twins for n in s.counts if trust.association != "known"):
         counts = np.array([s.counts[name] for s in trust.twins if name in s.counts], float)

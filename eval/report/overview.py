@@ -105,7 +105,6 @@ def _error(c: Comparison, row: RunJudgement | None, error: float) -> Value | Non
 
 
 def _given(j: Judgement) -> Value | None:
-    """The best of the results that were handed in."""
     if j.given_best is not None:
         return Value(f"{number(j.given_best.rmse)} m", j.given_best.estimator)
     return Value(NOTHING_KNOWN, ", ".join(j.given)) if j.given else None

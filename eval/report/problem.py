@@ -121,7 +121,6 @@ def _log(name: str, folder: Path) -> tuple[Array, Iterable[Notice]]:
 
 
 def _notices(folder: Path) -> Iterable[Notice]:
-    """The notices of an input in a folder of ours."""
     if (folder / LOG).exists():
         return ask(open_log(folder / LOG))
     return scored(str(folder / PAIR[0]), str(folder / PAIR[1]), Scoring()).run.notes

@@ -129,7 +129,6 @@ def _draw(folder: Path | None, options: Options, studies: Sequence[Study]) -> li
 
 
 def _picture(folder: Path, study: Study, task: str, association: str) -> Picture | None:
-    """The average NEES over time of a study, as of `Study.shown`."""
     shown = study.shown(task, association)
     if not shown:
         return None

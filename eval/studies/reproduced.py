@@ -53,9 +53,7 @@ def published_rows(study: Study) -> list[Mapping[str, object]]:
 
 
 def ours_of(study: Study, estimator: str, quantity: str) -> Estimate | None:
-    """Our value of a publishable quantity with its standard error; None if the estimator has no complete run. Filters
-    are compared online, batch smoothers in their only phase.
-    """
+    """Our value (filters online) and standard error; None: the estimator has no complete run."""
     found = [k for k in study.samples if k[1] == estimator]
     key = next((k for k in found if k[3] == "online"), found[0] if found else None)
     good = [] if key is None else study.good(key)

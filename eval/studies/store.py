@@ -51,9 +51,7 @@ def folder_of(root: Path, scenario: Scenario) -> Path:
 
 
 def kept_folder(root: Path, called: str, content: str) -> Path:
-    """The folder of runs with this name and content digest; created if necessary. Runs of other programs are removed,
-    unless a process that may be alive uses them.
-    """
+    """The folder of these runs, made if needed; those of other programs go unless a live process uses them."""
     name = folder_name(called)
     folder = root / ".studies" / f"{name}-{code_digest()}-{content[:DIGITS]}"
     folder.mkdir(parents=True, exist_ok=True)

@@ -184,7 +184,6 @@ def _drawn_closures(closures: Closures, path: Array, rng: np.random.Generator) -
 
 
 def _root(covariance: Array) -> Array:
-    """A square root (n, d, d) of covariances that may be singular."""
     size, axes = np.linalg.eigh(covariance)
     root: Array = axes * np.sqrt(np.maximum(size, 0.0))[:, None, :]
     return root

@@ -550,9 +550,7 @@ def solve(rows: Rows, s: Structure, t: Triangle, now: Array) -> Solution:
 
 
 def covariances(rows: Rows, s: Structure, t: Triangle, solution: Solution, pairs: IntArray) -> tuple[Array, Array]:
-    """Marginal covariances (V, 3, 3) of the variables; beyond a variable's dimension 0. Also covariances (Q, 3, 3)
-    between those of pairs (Q, 2), of which each shares a block.
-    """
+    """Covariances (V, 3, 3) of variables, 0 beyond a dimension, and (Q, 3, 3) of pairs (Q, 2) that share a block."""
     own, across = marginals(rows, s, t, pairs)
     if len(solution.constants):
         X = solution.columns

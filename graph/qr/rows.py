@@ -160,7 +160,6 @@ class Linearizer:
         return self._last[1:]
 
     def _robot(self, values: gtsam.Values) -> gtsam.Pose2:
-        """The robot's first pose in the world."""
         pose, errors = self._state(values)
         return pose2(self._motion.frame.poses_out(pose[:1], errors[:1])[0][0])
 

@@ -40,9 +40,7 @@ Blocks = tuple[IntArray, Array, Array, IntArray]
 
 
 def blocks_of_poses(inputs: Inputs, path: Array, of: OfPoses, columns: int) -> Blocks:
-    """Whitened rows of the used fixes and closures at a path (N, 3): residual, and minus the effect of each error.
-    Right-hand sides are filled with zeros up to `columns`.
-    """
+    """Whitened rows of used fixes and closures at a path (N, 3): residual, minus effects, zeros up to `columns`."""
     found = list[tuple[GaussianMeasurement, tuple[int, ...], Array]]()
     if (f := inputs.fixes) is not None:
         each = zip(fixes_of(f, f.sources), f.frame.tolist(), of.by_fixes, of.fixes.tolist(), strict=True)
@@ -124,11 +122,7 @@ UNIDENTIFIABLE = 1e-16  # least share of a column's square that path and map mus
 
 
 class Score(NamedTuple):
-    """Score of p systematic errors; zero for an error that the data cannot identify.
-
-    The efficient estimate of error j, if it is the only one, is score[j] / information[j, j], its variance 1 /
-    information[j, j].
-    """
+    """Score of p systematic errors; zero for an error that the data cannot identify."""
 
     score: Array  # (p,) derivative of the profile log-likelihood by the size of each error, at size zero
     information: Array  # (p, p) covariance of the score under the null hypothesis

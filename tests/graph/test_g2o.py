@@ -21,7 +21,7 @@ from data.sensors import Range
 from data.worlds.arena import Arena, simulate
 from eval.referee.errors import observed
 from eval.replay.run import compare
-from wings.audit.files import build
+from wings.audit.files import build, optimized
 
 WORLD = Arena(frames=30, landmarks=8)
 POSES = range(8, 38)
@@ -379,6 +379,9 @@ def test_priors_are_factors_of_an_audit_and_that_of_the_first_pose_is_the_logs(w
     rest = squares(read_graph_file(written(VERTICES + EDGES, "rest.g2o")))
     added = 100 * 0.1**2 + 50 * 0.1**2 + 25 * 0.05**2 + 4 * 0.1**2 + 4 * 0.5**2
     assert squares(read_graph_file(path)) - rest == pytest.approx(added, rel=0.02)  # errors are seen from turned frames
+    graph, values, names = build(read_graph_file(written(f"{path.read_text()}FIX 0\n", "held.g2o")))
+    assert names[-1] == "fixed"
+    assert optimized(graph, values).atPose2(0).equals(values.atPose2(0), 1e-9)
     log = log_of("fixed", read_graph(path))
     assert log.recorded.prior.mean == pytest.approx([0.1, 0.2, 0.05])
     assert log.recorded.prior.covariance[2, 2] == pytest.approx(1 / 25)

@@ -45,7 +45,6 @@ STAGES = {
 
 
 def _audit(options: argparse.Namespace, prog: str) -> int:
-    """Read, optimize, examine, print, write; returns the exit status."""
     from wings.audit.examined import shown, shown_tables, write_audit
     from wings.audit.page import cured, opened
 

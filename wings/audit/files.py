@@ -67,8 +67,8 @@ def build(file: GraphFile, robust: Collection[int] = ()) -> tuple[gtsam.Nonlinea
     """Graph, values, and the kind of each factor that is not a relation of poses; one factor an edge, in order.
 
     The edges `robust`, by number, have Cauchy's loss.
-    Values without a vertex follow the edges from the first pose. At the end: priors, and of several fixed vertices
-    constraints.
+    Values without a vertex follow the edges from the first pose. At the end: priors, and of fixed vertices constraints,
+    if there are several or priors: else one ties the gauge alone.
     """
     graph, values, names = gtsam.NonlinearFactorGraph(), gtsam.Values(), list[str]()
     for number, edge in enumerate(file.edges):
@@ -90,7 +90,7 @@ def build(file: GraphFile, robust: Collection[int] = ()) -> tuple[gtsam.Nonlinea
         else:
             graph.add(gtsam.PoseTranslationPrior2D(prior.ends[0], prior.measured, noise))
         names.append("prior" if len(prior.measured) == 3 and prior.tag != IN_SPACE else "position")
-    if len(file.fixed) > 1:
+    if len(file.fixed) > 1 or (file.fixed and file.priors):
         for key in dict.fromkeys(file.fixed):
             place = key if key in file.poses else point_key(key)
             if values.exists(place):
@@ -240,7 +240,6 @@ def other_starts(file: GraphFile, values: gtsam.Values) -> dict[str, gtsam.Value
 
 
 def _shifted(values: gtsam.Values, by: Any) -> gtsam.Values:
-    """Poses and points moved by a pose."""
     out = gtsam.Values()
     for key in values.dims():
         value = value_of(values, key)

@@ -62,7 +62,6 @@ def convert(args: argparse.Namespace) -> Log | str:
 
 
 def _closures(args: argparse.Namespace) -> Log:
-    """The log of places; the candidates are written beside it."""
     from data.errors import UsageError
     from data.logs import Reading
     from data.whole import whole_file

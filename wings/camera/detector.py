@@ -288,9 +288,7 @@ def shape_fault(pixels: Array, size: tuple[int, int], aspect: float) -> str | No
 
 
 def pinhole(xyz: Points, step: int = 8) -> Array | None:
-    """The camera of stereo points (H, W, 3): x/z = a u + b and y/z = a v + b, rows (2, 2) of a and b, by least squares
-    over every `step`-th pixel; None: too few.
-    """
+    """The camera of points (H, W, 3), x/z = a u + b, y/z = a v + b by every `step`-th pixel: rows of a, b, or None."""
     sample = xyz[::step, ::step].astype(np.float64)
     v, u = np.mgrid[0 : xyz.shape[0] : step, 0 : xyz.shape[1] : step]
     valid = np.isfinite(sample).all(axis=2) & (sample[..., 2] > 0)

@@ -12,8 +12,6 @@ w of the smallest determinant of P_a. The naive exchange takes w = 1 in both pla
 back as if it were new, and P_a shrinks each time.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -192,7 +190,6 @@ class TeamFilter:
         return decisions >= 0, known.positions(decisions[decisions >= 0])
 
     def _begin(self, row: int, z: Array, R: Array, label: int) -> None:
-        """A new landmark at the end of the state."""
         at, d = self.at(row), len(self.mean)
         xy, Gx, Gz = (each[0] for each in self.team.members[row].sensor.inverse(self.mean[at], z[None]))
         across = Gx @ self.P[at]

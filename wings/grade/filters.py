@@ -60,7 +60,6 @@ def _part(name: str, attribute: str, quantities: tuple[exact.Quantity, ...]) -> 
 
 
 def _shown(state: exact.State, quantity: exact.Quantity) -> list[Any]:
-    """A quantity of a state for a person."""
     holder = state.expected if quantity in EXPECTED else state
     found = getattr(holder, (EXPECTED | MAP).get(quantity, str(quantity)), None)
     return [] if found is None else list(np.round(found, 9).tolist())

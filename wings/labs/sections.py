@@ -134,7 +134,6 @@ def maintenance_figure(plain: Shown, kept: Shown) -> Figure:
 def _line(
     ax: Axes, log: Log, values: Array | IntArray, method: str, line: Line, label: str, style: str = "steps-post"
 ) -> None:
-    """Values (N,) of the frames over time, in the colour of an association method."""
     (drawn,) = ax.plot(log.recorded.time, values, linestyle=line, linewidth=1.1, drawstyle=style, label=label)
     drawn.set_color(colour_of_method(method))
 
@@ -176,7 +175,6 @@ def _draw_map(ax: Axes, s: Shown, *, left: bool, size: float = 3.0) -> None:
 
 
 def _mark_end(ax: Axes, path: Array, colour: str) -> None:
-    """A diamond where a path (N, 2) ends."""
     ax.plot(*path[-1:].T, "D", color=colour, markersize=4.0, markeredgecolor="white", markeredgewidth=0.6, zorder=6)
 
 

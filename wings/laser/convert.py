@@ -45,7 +45,6 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
 
 
 def _add_mending(parser: argparse.ArgumentParser) -> None:
-    """The flags of `data.formats.recordings.mending.Mending`."""
     units = ("m", "cm", "mm")
     parser.add_argument("--range-unit", choices=units, default="m", help="unit of the ranges (default: m)")
     parser.add_argument("--odometry-unit", choices=units, default="m", help="unit of the odometry (default: m)")
@@ -58,7 +57,6 @@ def _add_mending(parser: argparse.ArgumentParser) -> None:
 
 
 def _units(text: str) -> dict[str, str]:
-    """Units of `angle` and `time`."""
     from data.formats.recordings.mending import RADIANS, SECONDS
 
     known = {"angle": RADIANS, "time": SECONDS}
@@ -71,7 +69,6 @@ def _units(text: str) -> dict[str, str]:
 
 
 def _mending(args: argparse.Namespace) -> Mending:
-    """The mending that the flags ask for."""
     from data.formats.recordings.mending import Mending
 
     return Mending(

@@ -34,7 +34,6 @@ class PoseGraph:
     _engine: Engine
 
     def __init__(self, prior: Prior) -> None:
-        """Start at the prior with key pose 0."""
         self.prior, self.keys = prior, 1
         low = np.linalg.eigvalsh(prior.covariance)
         self._engine = Engine(

@@ -172,7 +172,6 @@ def laser_sections(
 
 
 def _relations(folder: Path, wanted: Output, trial: Trial) -> list[Block]:
-    """Every run against the reference relations."""
     rows = [row for run in trial.runs for row in _relation_rows(run, trial.log)]
     if not rows:
         return []
@@ -181,7 +180,6 @@ def _relations(folder: Path, wanted: Output, trial: Trial) -> list[Block]:
 
 
 def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
-    """A row per phase."""
     if not isinstance(run, LaserRun) and not (isinstance(run, GivenRun) and run.log is log):
         return []
     rows = dict[str, dict[str, object]]()

@@ -45,7 +45,6 @@ class WallFollower:
     """Follow the wall on the right at `WANTED`; turn left at obstacles, right around a wall's end."""
 
     def __init__(self, fit: str = USUAL_FIT) -> None:
-        """Steer by lines of a fit, one of `wings.robot.walls.FITS`."""
         self._fit = FITS[fit]
         self._odometry: deque[Array] = deque(maxlen=FRAMES)
         self._ranges: deque[Array] = deque(maxlen=FRAMES)

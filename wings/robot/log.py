@@ -46,15 +46,10 @@ USUAL = Noise()  # noise of the simulated robot
 
 
 class Framing:
-    """Make frames of packets; the first frame is the world's origin. `fit`: of walls, see `wings.robot.walls.FITS`.
-
-    Attributes:
-        count: frames so far.
-        observations: wall observations so far.
-    """
+    """Make frames of packets; the first frame is the world's origin. `fit`: of walls, see `wings.robot.walls.FITS`."""
 
     def __init__(self, noise: Noise = USUAL, fit: str = USUAL_FIT) -> None:
-        self.count = self.observations = 0
+        self.count = self.observations = 0  # frames and wall observations so far
         self._noise, self._walls = noise, WallObserver(noise.sonar_sigma, noise.slip, fit)
         self._before: Packet | None = None
 
@@ -102,9 +97,7 @@ def scans_of(packets: Sequence[Packet], sigma: float) -> Scans | None:
 
 
 def _increment(before: Packet, after: Packet, slip: float) -> Increment:
-    """Motion (3,) between packets in the body frame of the first, with covariance (3, 3). An unknown motion has the
-    covariance of a robot at full speed until its watchdog stopped it.
-    """
+    """Motion (3,) in the body, covariance (3, 3); an unknown one as of full speed until the watchdog stopped it."""
     mean = between(before.odometry, after.odometry)
     if not after.joined:
         far = min(after.t - before.t, WATCHDOG) + WATCHDOG
@@ -160,9 +153,7 @@ def load_recording(folder: Path) -> Log:
 
 
 def complete(folder: Path) -> Log:
-    """Add the files of an open log to a finished recording, each atomically, `log.toml` last. Raises DataError as
-    `load_recording`, or where a file cannot be written.
-    """
+    """Add an open log's files to a recording, `log.toml` last. DataError as `load_recording`, or not writable."""
     log = load_recording(folder)
     files = {name: text.encode() for name, text in contents(log, log.name).items()}
     if log.recorded.scans is not None:

@@ -100,9 +100,7 @@ class _Run:
 
 
 class WallObserver:
-    """Collect readings of the last packets and return walls. `sigma`: m, of a sonar distance; `slip`: m per sqrt(m) of
-    a wheel's travel; `fit`: one of `wings.robot.walls.FITS`.
-    """
+    """Makes walls of readings; `sigma`: m, of a sonar, `slip`: m per sqrt(m) of a wheel, `fit`: one of `FITS`."""
 
     def __init__(self, sigma: float = SIGMA, slip: float = SLIP, fit: str = USUAL_FIT) -> None:
         self._sigma, self._slip, self._fit = sigma, slip, FITS[fit]

@@ -19,16 +19,12 @@ FLOOR = 1e-10  # Smallest eigenvalue of an increment's covariance, for a robot a
 
 
 class TravelNoise(NamedTuple):
-    """Odometry noise that grows with travel: standard deviations per sqrt(m) and per sqrt(rad).
+    """Odometry noise that grows with travel: standard deviations per sqrt(m) and per sqrt(rad)."""
 
-    `translation_*` of the motion along and across [m / sqrt(m), m / sqrt(rad)], `rotation_*` of the heading
-    [rad / sqrt(m), rad / sqrt(rad)].
-    """
-
-    translation_per_metre: float = TRANSLATION_PER_METRE
-    translation_per_radian: float = TRANSLATION_PER_RADIAN
-    rotation_per_metre: float = ROTATION_PER_METRE
-    rotation_per_radian: float = ROTATION_PER_RADIAN
+    translation_per_metre: float = TRANSLATION_PER_METRE  # along and across the motion, m / sqrt(m)
+    translation_per_radian: float = TRANSLATION_PER_RADIAN  # the same, m / sqrt(rad)
+    rotation_per_metre: float = ROTATION_PER_METRE  # of the heading, rad / sqrt(m)
+    rotation_per_radian: float = ROTATION_PER_RADIAN  # the same, rad / sqrt(rad)
 
 
 MEASURED = TravelNoise()
@@ -84,9 +80,7 @@ def time_steps(time: Array) -> Array:
 
 
 def laser_inputs(pose: Array, stamp: Array, scans: Scans) -> Inputs:
-    """Inputs from odometry poses (N, 3) and stamps (N,) [s] in recorded order, and scans. The first pose is the
-    odometry's, exactly. Times are the stamps made strictly increasing.
-    """
+    """Inputs of odometry poses (N, 3), the first exact, and stamps (N,) [s], made strictly increasing, and scans."""
     increments, floored = increments_of(pose)
     return Inputs(
         prior=Prior(pose[0], np.zeros((3, 3))), time=made_increasing(stamp), increments=increments,

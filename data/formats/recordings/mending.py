@@ -144,9 +144,7 @@ def sigma_of(stated: float, ranges: Array, step: float, max_range: float, least:
 
 
 def without_jumps(stamp: Array) -> tuple[Array, int, int]:
-    """Stamps (N,) without single ones far above all that follow, or far below those before and after (a broken clock),
-    and how many of either kind were interpolated.
-    """
+    """Stamps (N,) without single ones far above all later ones or below both neighbours; how many of each kind."""
     if len(stamp) < 2:
         return stamp, 0, 0
     padded = np.concatenate([np.full(NEXT, stamp[0]), stamp, np.full(NEXT, stamp[-1])])

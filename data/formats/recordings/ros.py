@@ -22,6 +22,7 @@ from data.se2 import Array
 
 SCAN, ODOMETRY, TRANSFORMS = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
 OLD_TRANSFORMS = "tf/msg/tfMessage"
+STILL = 1e-3  # m and 1: translations and quaternions of a transform that holds differ by at most this
 TF = "tf"  # In place of a topic of odometry: the transform from the odometry's frame to the robot's
 BROKEN = (
     *(OSError, ValueError, LookupError, EOFError, RuntimeError, ArithmeticError, AssertionError),
@@ -101,8 +102,8 @@ class Moving:
 
     @property
     def moves(self) -> bool:
-        """Whether it changes."""
-        return len(set(zip(self.translation, self.quaternion, strict=True))) > 1
+        """Whether it changes by more than a simulator's rounding."""
+        return bool((np.ptp(np.column_stack([self.translation, self.quaternion]), axis=0) > STILL).any())
 
     def at(self, time: Array) -> tuple[Array, Array]:
         """Rotations (n, 3, 3) and translations (n, 3) at times (n,)."""

@@ -94,7 +94,6 @@ def load_course(path: Path, name: str, world: Path | None, turns: ArrayLike, see
 
 
 def _map(path: Path) -> LandmarkMap:
-    """The landmarks of a course's world."""
     ((table,), _) = _tables(path, WORLD)
     number = table.integers("id", 0)
     table.require_distinct("id", number, "{} is the id of two landmarks")

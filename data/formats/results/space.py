@@ -36,9 +36,7 @@ def rotations(quaternion: Array, place: Callable[[int], str]) -> Array:
 
 
 def on_plane(spatial: Spatial, manner: Manner) -> GivenPath:
-    """The trajectory in the plane, and in space as its `space`. Rows with NaN are left out. DataError for a
-    contradicted covariance frame or order, a bad covariance, or no row.
-    """
+    """The trajectory in the plane, without rows with NaN. DataError: a bad or contradicted covariance, or no row."""
     s, frame, C = spatial, spatial.frame, spatial.covariance
     if C is not None and manner.frame is not None:
         if s.stated.convention and manner.frame != s.frame:

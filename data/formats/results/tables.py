@@ -37,7 +37,6 @@ def companions(folder: Path) -> Companions:
 
 
 def _has(path: Path, column: str) -> bool:
-    """Whether a file exists and has a column of that name."""
     if not path.is_file():
         return False
     with path.open("rb") as file:

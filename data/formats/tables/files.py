@@ -18,7 +18,7 @@ import numpy as np
 
 from data.columns.named import LENGTH, unused
 from data.csv_table import Table, cut_off, is_number
-from data.earth import east_north
+from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import columns_of, is_arrays
 from data.formats.messages import file_and_word, kinds_of, numbered_rows, parts_of, whole_names, with_word
@@ -33,6 +33,7 @@ from data.terminal import counted
 SEPARATORS = (";", "\t", ",", " ")  # In this order, since a decimal comma is no separator beside a semicolon or a tab
 COMMENT = ("#", "%")
 DATE = re.compile(r"\d{4}-?(?:\d\d|W)")  # How dates in ISO 8601 begin
+DAY = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:")  # How dates begin that are no number
 NAMES_SHOWN = 200  # Most characters of a header in a message
 
 
@@ -377,7 +378,9 @@ ALSO = {
     "dx": ("d", "ds", "deltas", "deltad", "deltax"), "dy": ("deltay",), "dtheta": ("deltatheta", "deltayaw", "dyaw"),
     "steering": ("steer", "steeringangle"),
     "x": ("gpsx", "uwbx", "east", "easting"), "y": ("gpsy", "uwby", "north", "northing"),
-    "label": ("landmarkid", "beaconid", "markerid", "tagid"), "lat": ("latitude",), "lon": ("longitude", "lng"),
+    **dict.fromkeys(("label", "id"), ("landmarkid", "beaconid", "markerid", "tagid")),
+    "lat": ("latitude",), "lon": ("longitude", "lng"),
+    "frame": ("poseid",), "frame1": ("fromid", "idfrom"), "frame2": ("toid", "idto"),
 }  # fmt: skip
 """Other usual names of a quantity, in small letters only, beside those of results (`role_of`); read, with the unit at
 their end, where a file has exactly one of them."""
@@ -468,6 +471,10 @@ class Columns:
                 name = self.given.get(q, q)
                 what = f"no column {name!r}{did_you_mean(name, file.names)} for {q}; it has {file.described()}"
                 raise DataError.at(file.path, f"{what}; name it as in --columns {role}.{q}=NAME")
+            first = next((row[column] for row in file.rows if row[column]), "")
+            if q in STAMPS and not {"t", "time", f"{role}.t"} & set(self.units.given) and DAY.match(first):
+                self.units.given[f"{role}.t"] = ISO
+                self.notes.append(f"{file.path.name}: inferred: --unit {role}.t=iso, as {first} is a date")
             columns.append(column)
         return columns
 
@@ -520,18 +527,6 @@ class Columns:
             if names:
                 self.notes.append(f"{file.path.name}: {unused(names, free)}")
 
-    def _on_plane(self, lat: Array, lon: Array, file: TextTable) -> dict[str, Array]:
-        """Metres east (K,) and north of the datum."""
-        fine = np.isfinite(lat) & np.isfinite(lon)
-        if not ((np.abs(lat[fine]) <= 90.0) & (np.abs(lon[fine]) <= 360.0)).all():
-            raise DataError.at(file.path, "latitudes beyond 90 or longitudes beyond 360; degrees are needed")
-        if not self.datum and fine.any():
-            self.datum += [float(lat[fine][0]), float(lon[fine][0])]
-            at = ", ".join(f"{v:.9g}" for v in self.datum)
-            self.notes.append(f"x and y are metres east and north of latitude and longitude {at} deg")
-        place = np.stack([lat, lon, 0.0 * lat], axis=-1)
-        return dict(zip("xy", east_north(place, np.array([*self.datum, 0.0])).T, strict=True)) if self.datum else {}
-
     def table(
         self, file: TextTable, role: str, quantities: Sequence[str], *, optional: Sequence[str] = (),
         texts: Sequence[str] = (), may_be_blank: Collection[str] = (),
@@ -576,7 +571,11 @@ class Columns:
                 if q in ("range", "bearing"):
                     self.notes.append(f"{file.path.name}: {q} is {said}: was nothing measured there? Leave them out")
         if earth:
-            values |= self._on_plane(values["y"], values["x"], file)
+            place = np.stack([values["y"], values["x"], 0.0 * values["x"]], axis=-1)
+            metres, datum, said = on_plane(file.path, place, self.datum)
+            values |= {"x": metres[:, 0], "y": metres[:, 1]}
+            self.datum[:] = datum[:2]
+            self.notes += [said] * bool(said)
         if role in self.offsets:
             if not any(q in values for q in STAMPS):
                 given = f"--time-offset {role}={self.offsets[role]:g}"

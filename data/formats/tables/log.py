@@ -248,12 +248,31 @@ class TruePoses:
         return None if self.time is None or not known.any() else float(self.time[np.argmax(known)])
 
 
+def _between(wanted: Wanted) -> bool:
+    """Whether steps without stamps lead from pose to pose: columns say so, or there is a true pose or a frame more."""
+    columns, texts, file = wanted.columns, wanted.texts, wanted.texts["odometry"]
+    if columns.find(file, "odometry", "t") is not None:
+        return False
+    ends = [c for q in ("frame1", "frame2") if (c := columns.find(file, "odometry", q)) is not None]
+    if len(ends) == 2:
+        columns.read |= {(file.path, c) for c in ends}
+        first, last = (file.numbers(c, np.ones(len(file), bool), stamps=False) for c in ends)
+        return bool((last == first + 1.0).all() and (np.diff(first) == 1.0).all())
+    places = [(file, columns.find(file, "odometry", "dx"))]
+    places += [(t, columns.find(t, "truth", "x")) for t in [texts.get("truth")] if t is not None]
+    steps, *true = (sum(row[c or 0] != "" for row in of.rows) for of, c in places)
+    frames = [of.numbers(c, np.ones(len(of), bool), stamps=False).max(initial=0.0) for role, of in texts.items()
+              if of is not file and (c := columns.find(of, role, "frame")) is not None]  # fmt: skip
+    return true == [steps + 1] or max(frames, default=0.0) == steps
+
+
 def read_log(name: str, wanted: Wanted) -> Recording:
     """The log of the tables, with velocities as recorded; DataError or UsageError for invalid parts, stamps without
     overlap, or a missing prior.
     """
     columns, texts, notes = wanted.columns, wanted.texts, wanted.columns.notes
-    odometry = read_odometry(texts["odometry"], columns, wanted.kind, wanted.wheels)
+    between = wanted.kind == "steps" and _between(wanted)
+    odometry = read_odometry(texts["odometry"], columns, wanted.kind, wanted.wheels, between=between)
     if wanted.backward:
         odometry = odometry.held_backward()
     parts = [read_observations(texts[sensor.role], sensor, wanted, odometry, notes) for sensor in wanted.sensors]
@@ -298,6 +317,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
         taken = [name for closures in measured for name in closures.sources]
         measured.append(second_closures(texts[SECOND], second, wanted.second, time, taken, notes))
     increments, gaps = odometry.increments(time, wanted.noise, wanted.model)
+    fixes = None if fixes is None else _counter_clockwise(fixes, increments.mean, wanted)
     covariance, floored = floor_covariances(increments.covariance, FLOOR)
     if not odometry.velocities:
         floored += gaps  # of poses it counts floored covariances
@@ -519,7 +539,7 @@ def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) ->
     return result
 
 
-CLEAR = 15.0  # Way from the start over the sigma of fixes, from which on these tell the heading to 10 deg
+CLEAR = 15.0  # Reach of fixes (root of the sum of their distances²) over their sigma that tells the heading to 4 deg
 FAR, LOOSE = 1.0, math.radians(10.0)  # m, way from the start that tells its heading; rad, least deviation of that
 
 
@@ -538,15 +558,44 @@ def _onto_fixes(fixes: Fixes, moved: Array) -> tuple[Array, float] | None:
     """The first pose that takes the odometry's increments (N, 3) to the first fixes of a place, as far as tells the
     heading, and the standard deviation [m] of these; None: no such way.
     """
-    rows = np.flatnonzero(fixes.kind == FixKind.POSITION)
+    rows = np.flatnonzero(fixes.kind != FixKind.HEADING)
     if not len(rows):
         return None
-    path = se2.dead_reckoned(np.zeros(3), moved)[fixes.frame[rows], :2]
+    path = se2.dead_reckoned(np.zeros(3), moved)
+    way = np.append(0.0, np.hypot(*np.diff(path[:, :2], axis=0).T).cumsum())[fixes.frame[rows]]
+    path = path[fixes.frame[rows], :2]
     sigma = math.sqrt(float(np.median(fixes.covariance[rows, 0, 0])))
-    far = np.flatnonzero(np.hypot(*(path - path[0]).T) > max(FAR, CLEAR * sigma))
+    new = np.diff(way // max(FAR, sigma), prepend=-1.0) > 0.0  # errors at one place are alike: they count once
+    count = np.maximum(np.cumsum(new), 1)
+    spread = np.cumsum(new[:, None] * path**2, axis=0) - np.cumsum(new[:, None] * path, axis=0) ** 2 / count[:, None]
+    far = np.flatnonzero((spread.sum(axis=1) > (CLEAR * sigma) ** 2) & (np.hypot(*(path - path[0]).T) > FAR))
     if not len(far):
         return None
     return se2.rigid_fit(path[: far[0] + 1], fixes.z[rows[: far[0] + 1], :2]), sigma
+
+
+def _counter_clockwise(fixes: Fixes, moved: Array, wanted: Wanted) -> Fixes:
+    """With headings counter-clockwise from east, where the odometry's increments (N, 3) turn the other way round: those
+    of a compass, if the places say that they count from north.
+    """
+    rows = np.flatnonzero(fixes.kind != FixKind.POSITION)
+    turned = se2.dead_reckoned(np.zeros(3), moved)[fixes.frame[rows], 2]
+    with_it, against = (np.exp(1j * (turned - s * fixes.z[rows, 2])) for s in (1.0, -1.0))
+    stated = {"theta", "fixes.theta"} & set(wanted.columns.units.given) or wanted.fix_rotation
+    if stated or len(rows) < MANY or abs(with_it.mean()) > ODD or abs(against.mean()) < CONCENTRATED:
+        return fixes
+    start = _onto_fixes(fixes, moved)
+    quarters = 0.0 if start is None else round(float(np.angle(against.mean()) + start[0][2]) / (0.5 * np.pi)) % 4
+    z = fixes.z.copy()
+    z[rows, 2] = se2.wrap_angle(0.5 * np.pi * quarters - z[rows, 2])
+    since = f" from {('east', 'north', 'west', 'south')[int(quarters)]}" if start is not None else ""
+    wanted.columns.origins["units"] = Origin.INFERRED
+    text = f"inferred: headings of fixes count clockwise{since}, as the odometry turns against them"
+    wanted.columns.notes.append(f"{text} (--unit fixes.theta=rad reads them as written)")
+    return replace(fixes, z=z)
+
+
+CONCENTRATED, ODD = 0.9, 0.5  # Length of the mean unit vector of angles that agree, at least, and of others, at most
 
 
 def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None, moved: Array, fixes: Fixes | None) -> Prior:

@@ -143,9 +143,11 @@ def pose_columns(file: TextTable, columns: Columns, role: str) -> tuple[str, ...
 
 
 def read_odometry(
-    file: TextTable, columns: Columns, kind: str, wheels: Wheels | None, role: str = "odometry"
+    file: TextTable, columns: Columns, kind: str, wheels: Wheels | None, role: str = "odometry", between: bool = False
 ) -> Odometry:
-    """The odometry of a file; DataError for missing or invalid columns, UsageError for ticks without wheels."""
+    """The odometry of a file, of K steps `between` K + 1 poses; DataError for missing or invalid columns, UsageError
+    for ticks without wheels.
+    """
     quantities = pose_columns(file, columns, role) if kind == "poses" else KINDS[kind]
     if kind == "steps" and columns.find(file, role, "dy") is None:
         columns.notes.append(f"{file.path.name}: assumed: steps have no dy, so the robot moves ahead alone")
@@ -199,6 +201,10 @@ def read_odometry(
         pose[:, 2] = se2.wrap_angle(pose[:, 2])
     elif kind == "steps":
         steps = np.stack([values.get(q, 0.0 * values["dx"]) for q in KINDS["steps"]], axis=-1)
+        if between and not np.isnan(instants[: len(time)]).any():
+            steps = np.concatenate([np.zeros((1, 3)), steps])
+            time = instants = np.append(time, time[-1] + (columns.period or 1.0))
+            notes.append(f"{file.path.name}: its {len(values['dx'])} steps are between {len(time)} poses")
         pose = se2.dead_reckoned(np.zeros(3), np.concatenate([np.zeros((1, 3)), steps[1:]]))
         if steps[0].any():
             notes.append(f"{file.path.name}: the step of the first row precedes the log and is ignored")

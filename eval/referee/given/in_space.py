@@ -206,7 +206,6 @@ def _by_length(position: Array, pairs: str) -> dict[str, tuple[IntArray, IntArra
 
 
 def _between(path: Poses, i: IntArray, j: IntArray) -> tuple[Array, Array]:
-    """Rotations and translations of the motions from rows i to rows j."""
     back = np.swapaxes(path.rotation[i], -1, -2)
     return back @ path.rotation[j], np.einsum("nij,nj->ni", back, path.position[j] - path.position[i])
 

@@ -94,7 +94,6 @@ def _plain_if_better(path: GivenPath, other: GivenPath) -> GivenPath:
 
 
 def _overlap(time: Array, other: Array) -> float:
-    """Common span over the union of both."""
     common = min(time[-1], other[-1]) - max(time[0], other[0])
     whole = max(time[-1], other[-1]) - min(time[0], other[0])
     return max(float(common / whole), 0.0) if whole > 0.0 else 0.0
@@ -385,9 +384,7 @@ def _displaced(ours: Array, theirs: Array) -> tuple[float, float]:
 
 
 def _late_by(time: Array, ours: Array, there: Array, theirs: Array) -> tuple[float, float]:
-    """The offset [s] of stamps (n,), up to half of the longer span, at which two paths (n, 3) and (m, 3) in one frame
-    are nearest, and their RMS distance then; of laps the least.
-    """
+    """Offset [s] up to half the longer span at which paths (n, 3), (m, 3) are nearest, and their RMS distance then."""
     some = np.unique(np.linspace(0, len(time) - 1, TRIED).astype(int))
     half = 0.5 * max(float(np.ptp(time)), float(np.ptp(there)))
 

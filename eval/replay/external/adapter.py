@@ -375,9 +375,7 @@ def _used(who: str, stated: dict[str, Any], count: int) -> BoolArray:
 
 
 def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, created: int) -> Updated:
-    """The result of an update with decisions (m,), `new` (m,) of them for landmarks, after `created` landmarks. What is
-    not stated of it was done as decided. `who` names it in errors.
-    """
+    """The result for decisions (m,), `new` (m,) after `created` landmarks; what is not stated was done as decided."""
     stated, m = _stated(who, given, Updated), len(decisions)
     numbers, used = np.where(new, created + np.cumsum(new) - 1, -1), _used(who, stated, m) & (decisions >= 0)
     if "created" in stated:
@@ -557,7 +555,6 @@ class OwnInnovations:
     """NIS, likelihood and whitened innovations of a foreign estimator, frame by frame."""
 
     def __init__(self, expect: Callable[[FrameObservations], Expectation] | None, sensor: Sensor) -> None:
-        """`expect` of the estimator; None: it has none."""
         self._expect, self._sensor = expect, sensor
         self._rows, self._nu, self._S = np.empty(0, np.int64), np.empty(0), np.empty((0, 0))
         self._why = "it has no `expect`" if expect is None else ""  # why nothing can be formed
@@ -665,9 +662,7 @@ def estimator(text: str, given: Given, options: FilterOptions | None = None) -> 
 
 
 def tasks_of(loaded: Loaded) -> tuple[str, ...]:
-    """Its tasks, from its attribute `tasks`, or else from the number of arguments of its constructor. Raises
-    UsageError: neither is given, or it lacks a required method.
-    """
+    """Tasks by its attribute `tasks`, else by its constructor. UsageError: neither, or a required method is absent."""
     missing = [v for v in VERBS if isinstance(loaded.thing, type) and not callable(getattr(loaded.thing, v, None))]
     if missing:
         raise UsageError(f"{loaded.name}: no method {missing[0]!r}; an estimator has {', '.join(VERBS)} at least")

@@ -48,9 +48,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure saved as `figures/<stem>.png` (for a phone as `<stem>-narrow.png`, too), its caption (Markdown), and
-    what it shows for those who cannot see it.
-    """
+    """A figure `figures/<stem>.png` (and `<stem>-narrow.png`), its caption (Markdown), and a text in its place."""
 
     stem: str
     caption: str

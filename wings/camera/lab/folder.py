@@ -108,9 +108,6 @@ def size_of(value: NDArray[Any]) -> str:
     return "x".join(map(str, value.shape)) or "1"
 
 
-# --- objects ----------------------------------------------------------------------------------------------------------
-
-
 def unwrapped(value: object) -> object:
     """The content of an array of one object or record, however deep; a record becomes a dict."""
     while isinstance(value, np.ndarray) and value.size == 1 and (value.dtype.hasobject or value.dtype.names):
@@ -186,14 +183,10 @@ def _flat(column: Any) -> Any:
 
 
 def _one_length(path: Path, lengths: Mapping[str, int]) -> int:
-    """The length that all columns have."""
     if len(set(lengths.values())) > 1:
         counts = ", ".join(f"{name} {n}" for name, n in lengths.items())
         raise DataError.at(path, f"rows: {counts}; as many rows as frames are needed in each")
     return next(iter(lengths.values()), 0)
-
-
-# --- arrays -----------------------------------------------------------------------------------------------------------
 
 
 @contextmanager
@@ -405,20 +398,14 @@ Values = Mapping[str, object]
 
 
 class Sources:
-    """Files of a folder that look like a configuration or a log, and errors of those that do not open.
-
-    Attributes:
-        configurations: how to read the structs of each, or their fields alone; by the file's name.
-        logs: how to open each log.
-        untrusted: files of Python objects.
-    """
+    """Files of a folder that look like a configuration or a log, and errors of those that do not open."""
 
     def __init__(self, folder: Path, *, trust_pickle: bool = False) -> None:
         """`trust_pickle`: load Python objects, which can run code; else files that hold them are faults."""
         self._folder, self._trust = folder, trust_pickle
-        self.configurations: dict[str, Callable[[], Values]] = {}
+        self.configurations: dict[str, Callable[[], Values]] = {}  # by the file's name; structs, or their fields alone
         self.logs: dict[str, Callable[[], LogFile]] = {}
-        self.untrusted: list[Path] = []
+        self.untrusted: list[Path] = []  # files of Python objects
         self._faults: list[DataError] = []
         self._names: list[str] = []
         look = {".mat": self._look_at_mat, ".npy": self._look_at_npy, ".npz": self._look_at_npz}
@@ -733,7 +720,6 @@ def _commands(place: Place, value: Any) -> tuple[float, float]:
 
 
 def _image(place: Place, value: Any) -> NDArray[Any]:
-    """An array (H, W, 3)."""
     array = place.array(value)
     if array.ndim != 3 or array.shape[-1] != 3 or not array.size:
         raise place.error(f"size {size_of(array)}; H x W x 3 is needed")

@@ -73,14 +73,12 @@ def _fractal(
 
 
 def _palette(n: int, rng: np.random.Generator) -> Array:
-    """Colours (n, 3), of every brightness."""
     grey = rng.permutation(np.linspace(15.0, 240.0, n))
     tint = rng.normal(0.0, 55.0, (n, 3))
     return np.asarray(np.clip(grey[:, None] + tint - tint.mean(axis=1, keepdims=True), 0, 255))
 
 
 def _shapes(canvas: Array, rng: np.random.Generator) -> None:
-    """Discs, rings, triangles and quadrilaterals, large ones first."""
     h, w = canvas.shape[:2]
     for colour, size in zip(_palette(170, rng), np.geomspace(0.22 * w, 0.012 * w, 170), strict=True):
         x, y = rng.uniform(0, w), rng.uniform(0, h)
@@ -307,22 +305,15 @@ Level = TypeVar("Level", np.uint8, np.int16)
 
 
 class Rendered:
-    """A recording of the gallery, rendered frame by frame on demand; reproducible to the byte.
-
-    Attributes:
-        gallery: the parameters; seed: of the run; name: `visual:SEED`.
-        scene: the truth.
-        setup: as surveyed.
-        references: image of each picture, (H, W, 3) RGB uint8.
-    """
+    """A recording of the gallery, rendered frame by frame on demand; reproducible to the byte."""
 
     def __init__(self, g: Gallery, seed: int, *, frames: int | None = None) -> None:
         """Draw the world; `frames` takes only the first ones. UsageError for an impossible number."""
         if frames is not None and not 1 <= frames <= g.frames:
             raise UsageError(f"gallery: frames = {frames}; from 1 to {g.frames} is possible")
         self.gallery, self.seed, self.name = g, seed, f"visual:{seed}"
-        self.scene: Scene = gallery(g, seed)
-        self.setup = self.scene.setup
+        self.scene: Scene = gallery(g, seed)  # the truth
+        self.setup = self.scene.setup  # as surveyed
         height = max(round(g.reference_width * g.picture_height / g.picture_width), 1)
         motif = (np.arange(g.pictures) % (g.motifs or g.pictures)).tolist()
         self.references = [picture(i, g.reference_width, height, _rng(seed, _PICTURES, i)) for i in motif]
@@ -431,7 +422,6 @@ def _pyramid(image: Image) -> list[Image]:
 
 
 def _blurred(image: Image, length: float) -> Image:
-    """The image averaged sideways over `length` px about each pixel."""
     half = 0.5 * abs(length)
     if half <= 0.5:
         return image

@@ -321,7 +321,6 @@ class ImageWriter:
     """Writes images to windows, files, both, or nowhere."""
 
     def __init__(self, folder: Path | None, windows: Any) -> None:
-        """Make the folder. Raises UsageError if that fails."""
         self.folder, self.windows = folder, windows
         if folder is not None:
             try:
@@ -406,9 +405,7 @@ def wrong_of(truth: TruthRow | None) -> IntArray:
 
 
 def scene_of_wrong(p: Plane, decisions: IntArray, truth: TruthRow | None) -> Array | None:
-    """Points (k, 2) of one wrong decision: observation, paired landmark, right landmark. Chosen is the wrong decision
-    with the smallest extent; None if none is wrong.
-    """
+    """Points (k, 2) of the smallest wrong decision: observation, paired and right landmark; None: none wrong."""
     found: list[Array] = []
     for i in wrong_of(truth).tolist():
         numbers = [int(decisions[i])] + ([] if truth is None else [int(truth.ground_truth[i])])
@@ -449,7 +446,6 @@ def _background_handles(gate: float | None) -> list[Line2D | Patch]:
 
 
 def _handles(m: Matching) -> list[Line2D | Patch]:
-    """What is drawn of decisions."""
     shapes = (("o", "paired"), ("*", "NEW"), ("x", "discarded"))
     handles: list[Line2D | Patch] = [_mark(s, f"observation: {what}") for s, what in shapes]
     handles += [*_background_handles(m.gate), _stroke("pairing")]

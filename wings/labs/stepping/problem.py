@@ -135,7 +135,6 @@ class _Collector(Observer):
         self.found: dict[int, Matching] = {}
 
     def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
-        """Keep the problem of the frame, if wanted."""
         rows = slice(frame.first, frame.first + len(pairing.decisions))
         self.decisions[rows] = pairing.decisions
         if frame.number in self.frames and pairing.expectation is not None and len(pairing.expectation.number):
@@ -145,7 +144,6 @@ class _Collector(Observer):
             self.found[frame.number] = pose_problem(front, pairing.expectation, so_far, title, self.methods)
 
     def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
-        """Keep the decisions."""
         self.decisions, self.created = decisions.copy(), created.copy()
 
 

@@ -259,7 +259,6 @@ def _between(low: float, high: float, cuts: list[tuple[float, float]]) -> Iterat
 
 
 def _rooms(rng: np.random.Generator, block: Rect) -> list[Rect]:
-    """A block cut across its longer side repeatedly."""
     w, h = block.x1 - block.x0, block.y1 - block.y0
     part = float(rng.uniform(0.35, 0.65)) * max(w, h)
     if max(w, h) <= ROOMY or not NARROW <= part <= max(w, h) - NARROW:
@@ -347,7 +346,6 @@ def _sides(r: Rect) -> Iterator[tuple[Face, float]]:
 
 
 def _cut(face: Face, doors: list[Door]) -> Iterator[Face]:
-    """A face without its door openings."""
     near = [d for d in doors if d.axis == face.axis and abs(abs(d.at - face.at) - HALF_WALL) < EPS]
     # a wall may consist of several faces, and a door lie in two
     gaps = sorted((d.low, min(d.high, face.high)) for d in near if d.low < face.high and d.high > face.low)
@@ -404,9 +402,7 @@ AGAIN = 0.3  # Probability that the next target was visited before
 
 
 def drive(ways: Ways, rng: np.random.Generator, time: Array, speed: float, turn_rate: float) -> Array:
-    """Exact poses (N, 3) at stamps (N,) [s] from 0 up, without rests. `speed` [m/s] is that of straight lines; turns
-    are slower where `turn_rate` [rad/s] limits them.
-    """
+    """Poses (N, 3) at stamps (N,) [s] without rests, straight at `speed`, slower in turns by `turn_rate` [rad/s]."""
     moves = list[tuple[float, float, float]]()  # s, m/s, rad/s
     points = tour(ways, rng)
     a, b = next(points), next(points)
@@ -684,7 +680,6 @@ def _panes(building: Building, share: float, rng: np.random.Generator) -> tuple[
 
 
 def _people(floorplan: Floorplan, building: Building, time: Array, rng: np.random.Generator) -> Array:
-    """Discs (N, crowd, 3) of walking people."""
     discs = np.full((len(time), floorplan.crowd, 3), PERSON)
     for i, own in enumerate(rng.spawn(floorplan.crowd)):
         discs[:, i, :2] = drive(building.ways, own, time, float(own.uniform(0.6, 1.3)), math.pi)[:, :2]

@@ -136,9 +136,7 @@ def _with_innovations(run: Run, inputs: Inputs, gate: float | None) -> Run:
 
 
 def trajectory_over_frames(chain: Chain, pose: Array, covariance: Array) -> Trajectory:
-    """Path of all N frames from key poses (K, 3), (K, 3, 3) and the motion since (world, additive). The error of this
-    motion is taken as independent of the key pose's.
-    """
+    """Path of all N frames of key poses (K, 3), (K, 3, 3) and motion since, taken as independent; world, additive."""
     at, P = pose[chain.key], covariance[chain.key]
     path = compose(at, chain.since)
     F = np.tile(np.eye(3), (len(path), 1, 1))

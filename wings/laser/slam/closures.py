@@ -100,7 +100,6 @@ class LoopCloser:
         return self._believe(found, covariance)
 
     def _close(self, key1: int, key2: int, poses: Array, inverted: Array) -> Closure:
-        """Match the scan of key2 to those around key1."""
         p = self.parameters
         expected = between(poses[key1], poses[key2])
         expected[2] = wrap_angle(float(expected[2]))

@@ -21,14 +21,7 @@ FAR = np.array([0.1, 0.1, 0.03])  # m, m, rad: loop closures that disagree so mu
 
 
 class ScanSlam:
-    """The robot's pose, key poses and loop closures after each frame.
-
-    Attributes:
-        frames: frame of each key pose so far.
-        motions, covariances: of each key pose in the frame of the one before, (3,) and (3, 3); of the first unused.
-        poses: (K, 3) of all key poses, world frame.
-        closer: with all loop closures.
-    """
+    """The robot's pose, key poses and loop closures after each frame."""
 
     def __init__(
         self, prior: Prior, scanner: Scanner, beams: int, parameters: LaserParameters, *, steady: bool = False,
@@ -36,11 +29,12 @@ class ScanSlam:
     ) -> None:  # fmt: skip
         """`steady`: odometry is unknown (`Tracker`). `with_covariance`: `covariance` is asked for."""
         self.parameters, self.scanner = parameters, scanner
-        self.frames: list[int] = []
+        self.frames: list[int] = []  # of the key poses so far
+        # (3,), (3, 3) of each key pose in the frame of the one before; of the first unused
         self.motions: list[Array] = []
         self.covariances: list[Array] = []
-        self.poses = np.zeros((0, 3))
-        self.closer = LoopCloser(parameters, scanner)
+        self.poses = np.zeros((0, 3))  # of all key poses, world frame
+        self.closer = LoopCloser(parameters, scanner)  # with all loop closures
         self.tracker = Tracker(parameters, scanner.sigma, steady=steady)
         self._prior, self._graph = prior, PoseGraph(prior)
         self._beams, self._nothing = beams_of(scanner, beams), np.zeros(beams)
@@ -74,7 +68,6 @@ class ScanSlam:
         return compose_covariances(self.poses[-1], self._covariance, self.tracker.pose, self.tracker.covariance)
 
     def _key(self, frame: int, ranges: Array, seen: Points) -> None:
-        """Make the present pose a key pose, and close loops."""
         motion, covariance = self.tracker.pose, self.parameters.chain_factor * self.tracker.covariance
         if frame:
             self._graph.add_key(motion, covariance)

@@ -169,9 +169,7 @@ COLUMNS = "frame,t,estimator,x,y,theta,xx,xy,xt,yy,yt,tt"
 
 @contextmanager
 def estimates(path: Path, names: Sequence[str]) -> Iterator[Callable[[Taken], None]]:
-    """A receiver that writes a line for each estimator and frame at once; an ended estimator has none. Raises
-    UsageError: the file cannot be written, or exists already.
-    """
+    """A receiver that writes each estimator's line of a frame at once. UsageError: not writable, or it exists."""
     try:
         file = path.open("x", encoding="utf-8", buffering=1)
     except OSError as fault:

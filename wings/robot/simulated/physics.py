@@ -56,9 +56,7 @@ class SpeedLoop:
 
 
 def turned(speed: float, duty: float, dt: float, load: float = 0.0) -> float:
-    """Speed [m/s] of a motor's wheel after dt [s]; `load`: opposing push, in parts of that of full duty. Friction and
-    load hold a wheel at rest and stop a turning one, not beyond.
-    """
+    """Speed [m/s] after dt [s]; `load`: opposing push in full duties, which stops a wheel as friction does."""
     against = FRICTION + load
     pushed = speed + (duty * FULL_SPEED - speed) * dt / LAG
     brake = against * FULL_SPEED * dt / LAG
@@ -116,12 +114,7 @@ class Lidar:
 
 
 class Robot:
-    """The simulated body with wheels, encoders, sonars and watchdog, at rest at the start of its room.
-
-    Attributes:
-        pose: (3,) true pose [m, m, rad], world frame, heading wrapped.
-        wheels: speeds [m/s] of the left and the right wheel.
-    """
+    """The simulated body with wheels, encoders, sonars and watchdog, at rest at the start of its room."""
 
     def __init__(
         self, room: Room, rng: np.random.Generator, physics: Physics | None = None, lidar: Lidar | None = None
@@ -129,8 +122,8 @@ class Robot:
         """Motion, sonars and lidar draw from separate generators: neither answers nor a lidar change the others."""
         self.room, self.physics, self.lidar = room, physics or Physics(), lidar
         self._ground, self._sound, self._light = rng.spawn(3)
-        self.pose = np.array(room.start, float)
-        self.wheels = (0.0, 0.0)
+        self.pose = np.array(room.start, float)  # the true one [m, m, rad], world frame, heading wrapped
+        self.wheels = (0.0, 0.0)  # speeds [m/s] of the left and the right one
         self._loops = (SpeedLoop(), SpeedLoop())
         self._wanted: tuple[float, ...] = (0.0, 0.0)
         self._commanded = -math.inf

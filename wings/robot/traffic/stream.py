@@ -242,9 +242,7 @@ garbage: see `Unframed`. torn: see `Framed`. device gone: the device disappeared
 
 
 class Exchange:
-    """Commands and answers of a link, record by record. A packet's time is that of its last bytes; of several received
-    at once only the newest is used, so times increase.
-    """
+    """Commands and answers of a link; a packet's time is that of its last bytes, of several the newest counts."""
 
     def __init__(self, *, framed: bool, scans: bool = False) -> None:
         """`scans`: those of a lidar come in frames, too."""

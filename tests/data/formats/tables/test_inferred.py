@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data.origin import Origin
-from data.se2 import wrap_angle
+from data.se2 import between, wrap_angle
 
 BASE = 0.5  # m, between the axles
 T = np.arange(300) * 0.1
@@ -114,7 +114,7 @@ def test_fixes_tell_the_start_and_files_side_by_side_are_one_table(convert):
     files = {f"{n}.txt": text("", v).lstrip() for n, v in (("clock", T), ("speed", V), ("turn", OMEGA))}
     words = ("--fixes", "gps.csv", "--columns", "odometry.t=clock,v=speed,omega=turn")
     table = (files | {"gps.csv": gps}, "table", "clock.txt+speed.txt+turn.txt", "out", *words)
-    assert "unknown start" in convert(*table, status=2)  # of noise of 1 m, which is assumed, the way is too short
+    assert "unknown start" in convert(*table, "--fix-sigma", "4,4", status=2)  # the way is too short
     log, said = convert(*table, "--fix-sigma", "5cm,5cm")
     assert log.recorded.prior.mean == pytest.approx([5.0, -3.0, 0.7], abs=0.05)
     assert (log.origins["prior"], "inferred: --prior=" in said) == (Origin.INFERRED, True)
@@ -130,3 +130,32 @@ def test_a_folder_of_observations_a_file_for_each_row(convert, tmp_path):
     log, _ = convert({"o.csv": text("", V, OMEGA).lstrip()}, "table", "o.csv", "out", *words)
     assert np.bincount(log.recorded.observations.frame).tolist() == [1 + k % 3 for k in range(300)]
     assert log.recorded.time[-1] == pytest.approx(29.9)
+
+
+def test_a_compass_and_dates(convert):
+    """Headings clockwise from north or east, dates without a unit; the robot stays within 4 m of its start."""
+    turn = 0.25 * T
+    circle = np.column_stack([4.0 * np.sin(turn), 4.0 - 4.0 * np.cos(turn), wrap_angle(turn)])
+    dates = [f"2024-05-01 12:00:{t:09.6f}" for t in T]
+    files = {"o.csv": "\n".join(["time,v,omega", *(f"{d},1,0.25" for d in dates)])}
+    for east, since in ((0.0, "east"), (0.5 * np.pi, "north")):
+        rows = (f"{d},{wrap_angle(east - h)},{x},{y}" for d, (x, y, h) in zip(dates, circle, strict=True))
+        files["gps.csv"] = "\n".join(["time,heading,x,y", *rows])
+        log, said = convert(files, "table", "o.csv", "out", "--fixes", "gps.csv", "--fix-sigma", "0.5,0.5,2deg")
+        assert f"inferred: headings of fixes count clockwise from {since}" in said
+        assert log.recorded.prior.mean == pytest.approx([0.0, 0.0, 0.0], abs=0.01)
+        np.testing.assert_allclose(log.recorded.fixes.z[:, 2], circle[log.recorded.fixes.frame, 2], atol=0.03)
+
+
+@pytest.mark.parametrize("names", ["from_id,to_id,dx,dy,dtheta", "a,b,dx,dy,dtheta"])
+def test_steps_between_poses(convert, names):
+    """Named ends, or a true pose more than steps, say that the first step leads from the first pose to the second."""
+    step = between(POSE[:-1], POSE[1:])
+    files = {"o.csv": text(names, np.arange(299), np.arange(1, 300), step), "truth.csv": text("x,y,theta", POSE)}
+    files["seen.csv"] = text("pose_id,range,bearing,landmark_id", [[0, 5, 0, 1], [299, 5, 0, 1]])
+    log, said = convert(files, "table", "o.csv", "out", "--observations", "seen.csv", "--truth", "truth.csv",
+                        "--prior", "truth", "--prior-sigma", "0,0,0")  # fmt: skip
+    assert "its 299 steps are between 300 poses" in said
+    assert log.recorded.observations.frame.tolist() == [0, 299]
+    np.testing.assert_allclose(log.recorded.increments.mean[1:], step, atol=1e-9)
+    np.testing.assert_allclose(log.truth.pose[:, :2], POSE[:, :2])
