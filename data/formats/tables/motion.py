@@ -5,7 +5,7 @@ A second one becomes closures between successive frames (`--second-odometry FILE
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
