@@ -270,7 +270,7 @@ def _head_first(findings: Sequence[Finding], indicated: Finding | None) -> list[
 
 
 def _leading(found: Sequence[tuple[float, Finding]]) -> list[tuple[float, Finding]]:
-    """Findings with gains that may lead: systematic errors near the largest, as they make noise look larger; else all."""
+    """Findings with gains that may lead: systematic errors near the largest (they make noise look larger), else all."""
     most, top = max(found, key=lambda x: x[0], default=(0.0, None))
     smaller = top is not None and top.kind == "sigma" and top.size < 1.0
     return [x for x in found if x[1].kind == "systematic" and x[0] >= FIRST * most and not smaller] or [*found]
