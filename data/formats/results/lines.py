@@ -4,8 +4,6 @@ docs/results-files.md lists the columns. A triangle of a covariance is the lower
 translation first; without a header T = T_mean Exp(xi), in the body's axes. `#%KEY value` lines declare the tangent.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Collection, Sequence
