@@ -97,7 +97,7 @@ def compile_if_needed(quiet: bool = False) -> None:
 
 
 def compile_all(quiet: bool = False, background: bool = False) -> None:
-    """Compile every kernel, with progress, and write the mark. While another process does, wait; `background`: end."""
+    """Compile every kernel, with progress, and write the mark; where another process does, wait (`background`: end)."""
     from tqdm import tqdm
 
     with alone(base(), wait=not background) as first:

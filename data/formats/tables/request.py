@@ -336,6 +336,7 @@ def settle(given: Given) -> Wanted:
     # a file with several roles is read once
     read = {path: table_files.read_text(path) for path in dict.fromkeys(files.values())}
     texts = {role: read[path] for role, path in files.items()}
+    columns.notes += [f"{path.name}: {table.cut}" for path, table in read.items() if table.cut]
     unnamed = [r for r in texts if not {k.rpartition(".")[0] for k in named} & {"", r}]
     for role in ("odometry", "truth", "map"):
         if role in unnamed and (layout := by_layout(texts[role], role)) is not None:
