@@ -160,3 +160,8 @@ def test_steps_between_poses(convert, names):
     assert log.recorded.observations.frame.tolist() == [0, 299]
     np.testing.assert_allclose(log.recorded.increments.mean[1:], step, atol=1e-9)
     np.testing.assert_allclose(log.truth.pose[:, :2], POSE[:, :2])
+    files["truth.csv"] = text("t,x,y,theta", T[:200], POSE[:200])
+    assert "200 true poses, 300 frames: which belong together?" in convert(files | {
+        "o.csv": text("from_id,to_id,dx,dy,dtheta", np.arange(299), np.arange(1, 300), step)}, "table", "o.csv", "out",
+        "--observations", "seen.csv", "--truth", "truth.csv", "--prior", "truth", "--prior-sigma", "0,0,0", status=2,
+    )  # fmt: skip
