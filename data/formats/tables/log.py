@@ -89,13 +89,16 @@ def _instants(
 ANEW = 5.0  # s, by which one step back is no delay of a message
 
 
-def _at(table: Table, keys: Sequence[str], stamped: bool, odometry: Odometry) -> Array:
-    """Instants (K, keys) [s] of stamps, or of row numbers of the odometry."""
+def _at(table: Table, keys: Sequence[str], stamped: bool, odometry: Odometry, notes: list[str]) -> Array:
+    """Instants (K, keys) [s] of stamps, or of row numbers of the odometry, from 1 where the last one says so."""
     if stamped:
         return table.stack(keys)
     last, found = len(odometry.rows) - 1, []
+    numbers = table.stack(keys)
+    if one := 2 * len(np.unique(numbers)) > last and numbers.min() >= 1.0 and numbers.max() == last + 1.0:
+        notes.append(f"{Path(table.path).name}: inferred: {keys[0]} counts from 1, as {last + 1} is its last")
     for key in keys:
-        rows = table.integers(key, 0)
+        rows = table.integers(key, 0) - one
         table.require(rows <= last, key, f"{{}} is out of range; the odometry has rows 0 to {last}")
         at = odometry.rows[rows]
         table.require(~np.isnan(at), key, "{}: that row of the odometry is blank; a row with odometry is needed")
@@ -126,7 +129,7 @@ def read_fixes(file: TextTable, wanted: Wanted, odometry: Odometry, notes: list[
     if default is None and not table.together(SIGMAS[:2]) and "stheta" not in table:
         default, columns.origins["fix_noise"] = np.array(FIX_SIGMA), Origin.ASSUMED
         notes.append("assumed: --fix-sigma 1m,1m,5deg")
-    found = _measured(role, table, file.path, _at(table, keys, stamped, odometry), stamped, z, default)
+    found = _measured(role, table, file.path, _at(table, keys, stamped, odometry, notes), stamped, z, default)
     filled = ~np.isnan(z).all(axis=1)
     if not filled.all():
         notes.append(f"{file.path.name}: {counted(int((~filled).sum()), 'row')} without a fix")
@@ -140,7 +143,7 @@ def read_closures(file: TextTable, wanted: Wanted, odometry: Odometry) -> Rows:
     table, _ = wanted.columns.table(
         file, role, (*keys, *RELATIVE), optional=SIGMAS, texts=("source",), may_be_blank=SIGMAS
     )
-    at = _at(table, keys, stamped, odometry)
+    at = _at(table, keys, stamped, odometry, wanted.columns.notes)
     table.require(at[:, 0] != at[:, 1], keys[1], f"{{}} is {keys[0]}, too; two frames are needed")
     found = _measured(role, table, file.path, at, stamped, table.stack(RELATIVE), wanted.closure_sigma)
     return found.part(np.argsort(at.max(axis=1), kind="stable"))
@@ -194,7 +197,7 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
             other = f"{own}range={name_of['bearing']},{own}bearing={name_of['range']}"
             hint = f", and no bearing is: if they are exchanged, --columns {other}"
         table.require(z[:, 0] >= 0.0, "range", "{} is a negative range" + hint)
-    at = _at(table, keys, stamped, odometry)
+    at = _at(table, keys, stamped, odometry, notes)
     what = f"{OBSERVATIONS} of {name}" if name else OBSERVATIONS
     nothing = np.zeros(len(z), np.int64)
     found = Rows(what, "observation", table, at, stamped, z, np.tile(of.sigma, (len(z), 1)), nothing)
@@ -256,7 +259,9 @@ def _between(wanted: Wanted) -> bool:
     ends = [c for q in ("frame1", "frame2") if (c := columns.find(file, "odometry", q)) is not None]
     if len(ends) == 2:
         columns.read |= {(file.path, c) for c in ends}
-        first, last = (file.numbers(c, np.ones(len(file), bool), stamps=False) for c in ends)
+        first, last = (
+            n[np.isfinite(n)] for n in (file.numbers(c, np.ones(len(file), bool), stamps=False) for c in ends)
+        )
         return bool((last == first + 1.0).all() and (np.diff(first) == 1.0).all())
     places = [(file, columns.find(file, "odometry", "dx"))]
     places += [(t, columns.find(t, "truth", "x")) for t in [texts.get("truth")] if t is not None]
@@ -489,6 +494,9 @@ def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePose
     if by_stamp:
         table.require_ascending("t", strictly=True)
         return TruePoses(values["t"], world)
+    if len(world) != len(odometry.rows):
+        known = np.flatnonzero(np.isfinite(world[:, 0]))
+        world = world[: known[-1] + 1] if len(known) else world  # columns of other lengths beside it
     if len(world) != len(odometry.rows):
         return TruePoses(None, world)
     own = np.flatnonzero(np.append(np.diff(odometry.rows) != 0.0, True) & ~np.isnan(odometry.rows))
