@@ -34,6 +34,7 @@ from PIL import Image
 
 from data.columns.scans import BROKEN, open_archive
 from data.csv_table import bytes_of
+from data.digest import file_sha256
 from data.errors import LARGEST, DataError, UsageError
 from data.formats import matlab
 from data.formats.matlab import LIMIT, kind_of, save
@@ -608,11 +609,8 @@ class LabRecording:
         """SHA-256 of configuration, log and reference images, in their order."""
         total = hashlib.sha256()
         for path in self._files:
-            try:
-                with path.open("rb") as file:
-                    total.update(hashlib.file_digest(file, "sha256").digest())
-            except OSError as error:
-                raise DataError.at(path, f"cannot be read: {error.strerror}") from error
+            with reading(path):
+                total.update(bytes.fromhex(file_sha256(path)))
         return total.hexdigest()
 
 
