@@ -162,10 +162,7 @@ def test_robots_are_told_apart_by_place():
 def test_experiments_are_every_robot_with_every_exchange():
     made = experiments("arena:4:robots=2+frames=20", Selection(), Setup(), Reading(), lambda _: None)
     names = [(e.log.name.rpartition("-")[2], e.variant_of is None, e.work[0].estimators) for e in made]
-    assert names[:2] == [
-        ("robot1", True, ("dead-reckoning", "ekf", "batch")),
-        ("robot1:naive", False, ("ekf",)),
-    ]
+    assert names[:2] == [("robot1", True, ("dead-reckoning", "ekf", "batch")), ("robot1:naive", False, ("ekf",))]
     assert [n for n, _, _ in names[4:]] == ["robot2", "robot2:naive", "robot2:intersection", "robot2:alone"]
     runs = compare(made[0].log.inputs(labels=True), "localization", ["ekf", "isam2"])
     assert [r.status for r in runs] == ["ok", "incomplete"], "iSAM2 is for one robot"
