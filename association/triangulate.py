@@ -36,10 +36,8 @@ class Place(NamedTuple):
 
 
 def triangulate(sensors: Sequence[Sensor], pose: Array, covariance: Array, z: Array, R: Array) -> Place | None:
-    """The place that observations z (m, 2) with R (m, 2, 2) by `sensors` (m) from poses (m, 3) agree on.
-
-    `covariance` (3m, 3m) of the poses, world frame; the last pose is the newest. None: not determined well enough yet,
-    or they contradict each other.
+    """The place that observations z (m, 2), R (m, 2, 2) from poses (m, 3), the newest last, of `covariance` (3m, 3m),
+    world frame, agree on; None: not determined well enough yet, or they contradict each other.
     """
     m, dof = len(z), sum(len(s.measures) for s in sensors) - 2
     if dof < 1:

@@ -3,8 +3,12 @@
 A tangent plane: within 10 km of its origin distances are true to 1e-6 of themselves (Groves 2013, section 2.4).
 """
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 
+from data.errors import DataError
 from data.se2 import Array
 
 RADIUS, ECCENTRICITY_SQUARED = 6378137.0, 6.69437999014e-3  # m, 1; of the ellipsoid
@@ -21,8 +25,31 @@ def centred(place: Array) -> Array:
 
 def east_north(place: Array, origin: Array) -> Array:
     """Metres east and north (N, 2) of an origin (3,), both as latitude, longitude [deg], height [m]; places (N, 3)."""
+    return east_north_up(place, origin)[:, :2]
+
+
+def east_north_up(place: Array, origin: Array) -> Array:
+    """The same, with the metres (N, 3) above the plane that touches the ellipsoid's parallel at the origin."""
     off = centred(place) - centred(origin)
     (s_lat, c_lat), (s_lon, c_lon) = ((np.sin(a), np.cos(a)) for a in np.radians(origin[:2]))
     east = np.array([-s_lon, c_lon, 0.0])
     north = np.array([-s_lat * c_lon, -s_lat * s_lon, c_lat])
-    return np.asarray(np.stack([off @ east, off @ north], axis=-1))
+    return np.asarray(np.stack([off @ east, off @ north, off @ np.cross(east, north)], axis=-1))
+
+
+def on_plane(file: Path, place: Array, datum: Sequence[float] = ()) -> tuple[Array, tuple[float, ...], str]:
+    """Metres (N, 3) of places (N, 3) of a file about a datum, by default the first known one; that datum, and a note
+    where it is new. A height of NaN is the datum's. DataError for what is no latitude and longitude in degrees.
+    """
+    known = np.isfinite(place[:, :2]).all(axis=1)
+    if not (np.abs(place[known, :2]) <= [90.0, 360.0]).all():
+        raise DataError.at(file, "latitudes beyond 90 or longitudes beyond 360; degrees are needed")
+    if not known.any():
+        return np.full(place.shape, np.nan), tuple(datum), ""
+    said, (lat, lon, height) = "", place[known][0].tolist()
+    if not datum:
+        datum = lat, lon, 0.0 if np.isnan(height) else height
+        said = f"x and y are metres east and north of latitude and longitude {lat:.9g}, {lon:.9g} deg"
+    origin = np.array([*datum, 0.0][:3])
+    height = np.where(np.isnan(place[:, 2:]), origin[2], place[:, 2:])
+    return east_north_up(np.hstack([place[:, :2], height]), origin), tuple(datum), said

@@ -62,17 +62,15 @@ class Systematics(NamedTuple):
 
 
 class Finished(NamedTuple):
-    """The end of a run: final trajectory (None for a filter), last map (None in an exact map); others as of `Run`.
-    fixes, closures: `fixes_final` and `closures_final` there.
-    """
+    """The end of a run."""
 
-    final: Trajectory | None
-    map: MapState | None
+    final: Trajectory | None  # None for a filter
+    map: MapState | None  # None in an exact map
     total_nis: tuple[float, int] | None = None
     iterations: int | None = None
     last_step_sigma: float | None = None
     systematic: Systematics | None = None
-    fixes: PoseUpdated | None = None
+    fixes: PoseUpdated | None = None  # `fixes_final` and `closures_final` of the `Run`; all others as there
     closures: PoseUpdated | None = None
 
 
@@ -130,14 +128,12 @@ class Innovations(Locked):
 
 
 class Event(NamedTuple):
-    """A revised decision: frame, observation (row of the log), old and new decision, reason. From a landmark to `NEW`:
-    the landmark begins with this observation in the end.
-    """
+    """A revised decision."""
 
     frame: int
-    observation: int
+    observation: int  # row of the log
     old: int
-    new: int
+    new: int  # `NEW` after a landmark: that begins with this observation in the end
     why: str
 
 

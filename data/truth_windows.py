@@ -45,18 +45,14 @@ class MapRow(NamedTuple):
 
 
 class _Evidence(NamedTuple):
-    """Observations of identified landmarks from known true poses, ascending by frame.
-
-    frame, id: (n,); z, place: (n, 2); root: (n, 2, 2) inverse roots of their covariances; scale: (2,) robust spread of
-    their residuals, at least 1.
-    """
+    """Observations (n) of identified landmarks from known true poses, ascending by frame."""
 
     frame: IntArray
     id: IntArray
     z: Array
-    root: Array
-    place: Array
-    scale: Array
+    root: Array  # (n, 2, 2) inverse roots of their covariances
+    place: Array  # (n, 2) of their landmarks
+    scale: Array  # (2,) robust spread of their residuals, at least 1
 
 
 def bad_truth(log: Log) -> tuple[BadTruth, ...]:

@@ -123,11 +123,7 @@ class Wing:
 
 @cache
 def wings() -> tuple[Wing, ...]:
-    """Ours by name, then those of others.
-
-    Raises:
-        UsageError: an entry point that cannot be imported, or is no `Wing`.
-    """
+    """Ours by name, then those of others. UsageError: an entry point that cannot be imported, or is no `Wing`."""
     folders = resources.files("wings").iterdir()
     ours = sorted(f.name for f in folders if f.is_dir() and (f / "__init__.py").is_file())
     found = [import_module(f"wings.{name}").wing for name in ours]

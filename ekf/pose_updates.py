@@ -28,16 +28,12 @@ Measure = Callable[[Array, Array], tuple[Array, Array]]
 
 
 class MeasurementModel(NamedTuple):
-    """A measurement of the pose, or of the pose relative to an earlier one.
+    """A measurement of the pose, or of the pose relative to an earlier one."""
 
-    rows: entries of (x, y, theta) that are measured, m of them; measure: of the states pose and errors, and the earlier
-    pose if there is one; R: (m, m); earlier: its frame, None: there is none.
-    """
-
-    rows: list[int]
-    measure: Measure
-    R: Array
-    earlier: int | None = None
+    rows: list[int]  # entries of (x, y, theta) that are measured, m of them
+    measure: Measure  # of the states pose and errors, and the earlier pose if there is one
+    R: Array  # (m, m)
+    earlier: int | None = None  # its frame
 
 
 def absorb(

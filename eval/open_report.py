@@ -14,11 +14,7 @@ DEFAULT = Path("results/report")
 
 
 def show(folder: Path) -> None:
-    """Open `report.html` of a result folder in the browser, or print its address where there is no browser.
-
-    Raises:
-        UsageError: the folder has no report.
-    """
+    """Open `report.html` of a folder in the browser, or print its address. UsageError: the folder has no report."""
     page = folder.absolute() / "report.html"
     if not page.is_file():
         raise UsageError(f"{folder}: no report.html; `slamref run LOG --out {folder}` writes one")

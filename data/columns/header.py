@@ -52,17 +52,13 @@ KNOWN = {
 
 @dataclass(frozen=True)
 class Header:
-    """Contents of `log.toml`.
-
-    `sensors`: with their default noise, none where none is stated. `motion`: how odometry becomes increments.
-    `motion_prior`: model instead of odometry. `scanner`: of a laser log. `fixes`, `closures`: their sources.
-    """
+    """Contents of `log.toml`."""
 
     name: str
     format: int
     prior: Prior
-    sensors: tuple[sensors.Stated, ...]
-    motion: VelocityModel | None
+    sensors: tuple[sensors.Stated, ...]  # with their default noise, none where none is stated
+    motion: VelocityModel | None  # how odometry becomes increments
     time_is_index: bool
     covariance_floor: float
     floored: int
@@ -70,10 +66,10 @@ class Header:
     notes: tuple[str, ...]
     source: Mapping[str, object]
     origins: Origins
-    motion_prior: MotionPrior | None = None
-    scanner: Scanner | None = None
-    fixes: tuple[poses.Stated, ...] = ()
-    closures: tuple[poses.Stated, ...] = ()
+    motion_prior: MotionPrior | None = None  # model instead of odometry
+    scanner: Scanner | None = None  # of a laser log
+    fixes: tuple[poses.Stated, ...] = ()  # their sources
+    closures: tuple[poses.Stated, ...] = ()  # their sources
 
 
 def _prior(table: TomlTable) -> Prior:

@@ -91,12 +91,7 @@ class Topic:
 
 
 def topics_of(path: Path) -> tuple[Topic, ...]:
-    """The topics of a bag by name, each with what its type becomes.
-
-    Raises:
-        UsageError: `rosbags` is not installed.
-        DataError: no bag, or a damaged one.
-    """
+    """The topics by name, with what each becomes. UsageError: no `rosbags`. DataError: no bag, or a damaged one."""
     with ros.opened(path, STANDARD) as reader:
         found: dict[str, Topic] = {}
         for c in reader.connections:
@@ -201,15 +196,13 @@ class Detection(NamedTuple):
 
 @dataclass
 class Scanned:
-    """The scans of a bag as recorded: stamps [s], ranges [m], first angle and step of each [rad]. `frame` and
-    `geometry`, numbers of `GEOMETRY`: of the first one.
-    """
+    """The scans of a bag as recorded."""
 
-    frame: str = ""
-    geometry: dict[str, float] = field(default_factory=dict)
-    stamp: list[float] = field(default_factory=list)
-    ranges: list[Array] = field(default_factory=list)
-    angles: list[tuple[float, float]] = field(default_factory=list)
+    frame: str = ""  # of the first one
+    geometry: dict[str, float] = field(default_factory=dict)  # numbers of `GEOMETRY` of the first one
+    stamp: list[float] = field(default_factory=list)  # s
+    ranges: list[Array] = field(default_factory=list)  # m
+    angles: list[tuple[float, float]] = field(default_factory=list)  # first angle and step [rad] of each
 
     def add(self, message: Any, recorded: float, where: str) -> None:
         """Add a message; DataError for one that is no scan, or unlike the first."""
@@ -408,17 +401,15 @@ def odometry_of(path: Path, topics: Sequence[Topic], found: Collected) -> tuple[
 
 
 class LaserScans(NamedTuple):
-    """Scans within a span, by stamp (S,): ranges (S, B) with their scanner on the robot; notes about both. `inside`
-    (all scans): which these are; `resampled`: how many had other beams; `asked`: questions.
-    """
+    """Scans within a span, by stamp (S,), and what is said about them."""
 
-    scanner: Scanner
+    scanner: Scanner  # on the robot
     stamp: Array
-    ranges: Array
-    inside: BoolArray
-    resampled: int
+    ranges: Array  # (S, B)
+    inside: BoolArray  # of all scans, which these are
+    resampled: int  # how many had other beams
     notes: tuple[str, ...]
-    asked: tuple[Notice, ...]
+    asked: tuple[Notice, ...]  # questions
     origins: dict[str, Origin]
 
 

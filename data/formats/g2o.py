@@ -64,20 +64,16 @@ class Edges:
 
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """A graph in the plane: its file, and edges by what they measure.
-
-    Measured by `polar` are range and bearing; by `prior` and `position` poses and their positions, with both ends the
-    same.
-    """
+    """A graph in the plane: its file, and edges by what they measure."""
 
     file: graph_file.GraphFile
     motion: Edges
     observation: Edges
     bearing: Edges
     range: Edges
-    polar: Edges
-    prior: Edges
-    position: Edges
+    polar: Edges  # range and bearing
+    prior: Edges  # poses, with both ends the same
+    position: Edges  # positions of poses, the same
 
     @property
     def path(self) -> Path:

@@ -60,43 +60,34 @@ class IndefiniteError(DataError):
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """One factor: its tag, ends, measured values, information (d, d), line in the file, and parameter (-1: none).
-
-    `origin`: of the information; where no line states it, it is assumed to be the identity.
-    `carried` (d, d): from the stated error, of a sensor with an offset, to that of the robot; None: none.
-    """
+    """One factor."""
 
     tag: str
     ends: tuple[int, int]
     measured: Array
-    information: Array
-    line: int
-    parameter: int = -1
-    carried: Array | None = None
-    origin: Origin = Origin.STATED
+    information: Array  # (d, d)
+    line: int  # in the file
+    parameter: int = -1  # -1: none
+    carried: Array | None = None  # (d, d) from the stated error, of a sensor with an offset, to that of the robot
+    origin: Origin = Origin.STATED  # of the information; where no line states it, it is assumed to be the identity
 
 
 @dataclass(frozen=True, eq=False)
 class GraphFile:
-    """A graph as written: lines, poses and points by id (kind, values), edges in order, fixed ids, offsets, tags.
-
-    `priors`: measured poses (3,) and positions (2,), in space (3,), with both ends the same. `noise`: what text states,
-    one of `NOISES` or "" without text. `rows`: EDGE2 are in the order of rows.
-    `alone`: one pose has a line, and the others begin where the edges put them.
-    """
+    """A graph as written."""
 
     path: Path
     lines: list[str]
-    poses: dict[int, tuple[str, Array]]
-    points: dict[int, tuple[str, Array]]
-    edges: list[Edge]
-    fixed: list[int]
+    poses: dict[int, tuple[str, Array]]  # kind and values by id
+    points: dict[int, tuple[str, Array]]  # the same
+    edges: list[Edge]  # in order
+    fixed: list[int]  # ids
     offsets: dict[int, Array]
-    other: dict[str, int]
-    priors: list[Edge] = field(default_factory=list)
-    noise: str = ""
-    rows: bool = False
-    alone: bool = False
+    other: dict[str, int]  # number of lines that are not read, by tag
+    priors: list[Edge] = field(default_factory=list)  # measured poses and positions, both ends the same
+    noise: str = ""  # what text states, one of `NOISES`, or "" without text
+    rows: bool = False  # EDGE2 are in the order of rows
+    alone: bool = False  # one pose has a line, and the others begin where the edges put them
 
     def kind(self, edge: Edge) -> tuple[str, str]:
         """Kinds of the variables at both ends."""

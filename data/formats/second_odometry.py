@@ -37,11 +37,9 @@ def closures_between(frames: IntArray, motion: Increments, name: str, left_out: 
 
 
 def of_twists(stamp: Array, pose: Array, covariance: Array, at: Array) -> Increments:
-    """Motion between instants `at` (F,) within the stamps (K,) of poses (K, 3), with the noise that twists state.
-
-    `covariance` (K, 3, 3) is that of the velocity along, across and of the turn at each stamp, which holds since the
-    stamp before; errors of two messages are independent. So over an interval of d s the error has covariance C d^2,
-    and over a part of it the same share.
+    """Motion between instants `at` (F,) by poses (K, 3) with stamps (K,); `covariance` (K, 3, 3): of velocity and turn
+    since the stamp before. Messages are independent: over d s of an interval the error has C d^2, over a part its
+    share.
     """
     points = np.union1d(stamp[(stamp > at[0]) & (stamp < at[-1])], at)
     path = interpolate(stamp, pose, points)

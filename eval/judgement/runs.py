@@ -45,15 +45,11 @@ UNUSABLE = (Objection.STOPPED, Objection.IMPLAUSIBLE, Objection.IDLE, Objection.
 
 @dataclass(frozen=True)
 class Objected:
-    """An objection to an estimator with the number behind it (frame, NEES, share of wrong pairings, NIS per dof).
-
-    `MAP`, `CONVENTION`, `CAUSE` are to the log: the estimator is blank, and the number of `CAUSE` the least family-wise
-    p.
-    """
+    """An objection to an estimator, or to the log."""
 
     objection: Objection
-    estimator: str
-    value: float = math.nan
+    estimator: str  # blank: to the log, of `MAP`, `CONVENTION`, `CAUSE`
+    value: float = math.nan  # frame, NEES, share of wrong pairings, NIS per dof; of `CAUSE` the least family-wise p
     dof: int = 3  # of a NEES
 
     @property

@@ -34,11 +34,7 @@ def is_compiled() -> bool:
 
 
 def start(options: Options) -> str:
-    """On a first run of a small log, choose interpreted kernels and compile in a child process; before numba is loaded.
-
-    Returns:
-        A message for the user; empty if kernels are compiled when needed.
-    """
+    """On a first run of a small log: interpreted kernels, compiled meanwhile; what is said of it, or empty."""
     if "numba" in sys.modules or INTERPRETED in os.environ or not is_small(options) or is_compiled():
         return ""
     compile_in_background()

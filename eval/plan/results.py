@@ -59,8 +59,8 @@ class Result:
     offset: float | str = 0.0
 
 
-def read_results(asked: Sequence[str], reading: Matching) -> tuple[Result, ...]:
-    """The results `NAME=FILE`; UsageError for an invalid name, DataError for an invalid file."""
+def named_results(asked: Sequence[str]) -> dict[str, str]:
+    """The files of `NAME=FILE` by name; UsageError for an invalid one."""
     named: dict[str, str] = {}
     for text in asked:
         name, equals, file = text.partition("=")
@@ -73,9 +73,7 @@ def read_results(asked: Sequence[str], reading: Matching) -> tuple[Result, ...]:
         if name in named:
             raise UsageError(f"--result {text}: two results are named {name}; rename one")
         named[name] = file
-    names = list(named)
-    read = (_result(name, file, manner_of(name, names, reading)) for name, file in named.items())
-    return tuple(replace(result, offset=offset_of(result.name, names, reading)) for result in read)
+    return named
 
 
 def _result(name: str, file: str, manner: Manner) -> Result:
@@ -130,7 +128,7 @@ def _columns_of(name: str, names: Sequence[str], reading: Scoring) -> dict[str, 
     return found[""] | found[name]
 
 
-KEYS = ("t", "x", "y", "z", "theta", "roll", "pitch", "qx", "qy", "qz", "qw")
+KEYS = ("t", "x", "y", "z", "lat", "lon", "alt", "theta", "roll", "pitch", "qx", "qy", "qz", "qw")
 
 
 def offset_of(name: str, names: Sequence[str], reading: Matching) -> float | str:
@@ -335,9 +333,17 @@ def asked_results(reading: Results, logs: Sequence[str], folders: Sequence[str])
         raise UsageError(f"{flag}: on which log? name one, or type --truth FILE")
     if not logs and not reading.result:
         raise UsageError(f"{flag}: nothing to score; type --result NAME=FILE, or name the log of this truth")
-    results = read_results(reading.result, reading)
-    names = [r.name for r in results]
+    named = named_results(reading.result)
+    names = list(named)
     file = None if reading.truth is None else true_path(reading.truth, names, reading)
+    datum = () if file is None else file.datum
+    results = tuple(
+        replace(
+            _result(name, path, replace(manner_of(name, names, reading), datum=datum)),
+            offset=offset_of(name, names, reading),
+        )
+        for name, path in named.items()
+    )
     truth = None if file is None else TruePath.of(file)
     return Asked(results, file, truth, reading)
 

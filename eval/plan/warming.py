@@ -97,10 +97,7 @@ def compile_if_needed(quiet: bool = False) -> None:
 
 
 def compile_all(quiet: bool = False, background: bool = False) -> None:
-    """Compile every kernel and write the mark; progress is a bar on a terminal, else a line per part.
-
-    If another process is compiling, wait for it; in the `background`, do nothing.
-    """
+    """Compile every kernel, with progress, and write the mark; where another process does, wait (`background`: end)."""
     from tqdm import tqdm
 
     with alone(base(), wait=not background) as first:

@@ -88,10 +88,7 @@ class Evidence:
 
     @property
     def observations(self) -> Array:
-        """Residuals of observations (M, 2) that are independent and of unit variance if all is as stated.
-
-        NaN where some direction is hardly redundant: what is left there is linearization, not noise.
-        """
+        """Residuals (M, 2), independent and of unit variance if all is as stated; NaN where hardly redundant."""
         found, sigma = self.residuals.observations, np.sqrt(np.einsum("mii->mi", self.inputs.observations.R))
         size, axes = np.linalg.eigh(self.redundancy.observations / np.einsum("mi,mj->mij", sigma, sigma))
         root = axes / np.sqrt(np.maximum(size, REDUNDANT))[:, None]
@@ -264,10 +261,7 @@ def _largest(values: Array, apart: int) -> list[int]:
 
 
 def _jumps(e: Evidence) -> list[tuple[Finding, tuple[Effect, ...], int]]:
-    """The frames with the largest residuals of odometry, each with an increment of its own.
-
-    A smoother spreads a jump over several frames, so all around the largest residual are tried.
-    """
+    """Frames around the largest residuals of odometry (a smoother spreads a jump), each with an own increment."""
     odometry = e.odometry
     squared = np.where(np.isfinite(odometry).any(axis=1), np.nansum(odometry**2, axis=1), np.nan)
     found = []
@@ -362,10 +356,7 @@ def _lasting(r: float, usual: float, pairs: int) -> tuple[float, float]:
 
 
 def _changes(e: Evidence, even: Array) -> list[Explanation]:
-    """A stretch of frames in which the observations' noise is larger than stated, and than before and after.
-
-    It has to show in `even` squares (M,), too, which heavy tails and a scale of all do not change.
-    """
+    """A stretch of larger noise than stated, and than before and after, which `even` squares (M,) show, too."""
     rows = np.flatnonzero(np.isfinite(e.observations).any(axis=1))
     n = len(e.inputs)
     if len(rows) < 4 * FEWEST:
@@ -394,10 +385,7 @@ def _changes(e: Evidence, even: Array) -> list[Explanation]:
 
 
 def _correlations(e: Evidence, alike: float) -> list[Explanation]:
-    """Errors of a landmark's observations that are correlated from one frame to the next (AR(1)).
-
-    `alike`: net of a scale of all observations, beyond which it has to gain more than that.
-    """
+    """Errors of a landmark that are correlated over frames (AR(1)), if they gain more than `alike`."""
     before, after = e.pairs
     if len(before) < 4 * FEWEST:
         return []

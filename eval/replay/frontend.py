@@ -136,16 +136,12 @@ class KnownAssociation:
 
 
 class Pairing(NamedTuple):
-    """Decisions (m,) about (a part of) a frame, and the expectation they were made from, if any.
-
-    at: pose (3,) of a placed frame, where the estimator may linearize first.
-    S: (2k, 2k) joint covariance of the innovations of its k gated pairings; None: not formed.
-    """
+    """Decisions (m,) about (a part of) a frame, and the expectation they were made from, if any."""
 
     decisions: IntArray
     expectation: Expectation | None = None
-    at: Array | None = None
-    S: Array | None = None
+    at: Array | None = None  # pose (3,) of a placed frame, where the estimator may linearize first
+    S: Array | None = None  # (2k, 2k) joint covariance of the innovations of its k gated pairings; None: not formed
 
 
 class FrontEnd:

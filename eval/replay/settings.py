@@ -181,20 +181,16 @@ def steps(name: str) -> bool:
 
 
 class Beginning(NamedTuple):
-    """What an estimator knows before the first frame; a log states it in its `Inputs`, a robot without a log in this.
+    """What an estimator knows before the first frame; a log states it in its `Inputs`, a robot alone in this."""
 
-    prior: belief about the pose at the first frame; map: known landmarks, None: SLAM; systematic: errors to estimate;
-    sensors: all of them where there are several, of which `sensor` is the first; looks: as of `Inputs.looks`.
-    """
-
-    prior: Prior
+    prior: Prior  # belief about the pose at the first frame
     sensor: Sensor
-    map: LandmarkMap | None = None
-    systematic: Systematic | None = None
+    map: LandmarkMap | None = None  # None: SLAM
+    systematic: Systematic | None = None  # errors to estimate
     fixes: Fixes | None = None
     closures: Closures | None = None
-    sensors: tuple[Sensor, ...] = ()
-    looks: tuple[int, int] = (0, 0)
+    sensors: tuple[Sensor, ...] = ()  # all of them where there are several, of which `sensor` is the first
+    looks: tuple[int, int] = (0, 0)  # as of `Inputs.looks`
 
 
 Given: TypeAlias = "Inputs | Beginning"

@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -54,6 +55,7 @@ class Scored:
     phase: str
     notes: tuple[str, ...]
     projected: Mapping[str, str]  # what the projection to the plane ignores, by role of the file
+    apart: bool = False  # one of the two is in metres about a latitude and longitude, the other in a frame of its own
 
 
 def printed(files: Sequence[str], truths: Sequence[str], reading: Scoring, *, infer: bool) -> tuple[str, str]:
@@ -132,7 +134,8 @@ def _scored(file: str, truth: str, reading: Scoring) -> Scored:
     if asked is None:
         raise DataError.at(truth, "has no true poses (truth.csv)")
     phase = phase_of(Path(file))
-    estimate = read_path(file, replace(manner_of(ESTIMATE, [ESTIMATE], reading), rows=truth == file))
+    datum = tuple(cast("Sequence[float]", (log.source or {}).get("datum", ()))) if given is None else given.datum
+    estimate = read_path(file, replace(manner_of(ESTIMATE, [ESTIMATE], reading), datum=datum, rows=truth == file))
     result = Result(ESTIMATE, {phase: estimate}, Companions(), offset_of(ESTIMATE, [ESTIMATE], reading))
     (run,) = runs_of(result, log, "slam", asked, reading)
     said = [] if given is None else [f"truth {truth}: {n}" for n in (f"read as {given.kind}", *given.notes) if n]
@@ -140,7 +143,8 @@ def _scored(file: str, truth: str, reading: Scoring) -> Scored:
     projected = {name: what for name, p in both.items() if (what := ignored(p))}
     questions = (f"question: {sentence(n)}" if n.severity is Severity.WARNING else sentence(n) for n in run.notes)
     of_log = [*truth_windows(log), *([] if estimate.covariance is None else assumed_noise(log))]
-    return Scored(run, log, phase, (*said, *map(sentence, of_log), *questions), projected)
+    apart = bool(datum) != bool(estimate.datum)
+    return Scored(run, log, phase, (*said, *map(sentence, of_log), *questions), projected, apart)
 
 
 def scores(s: Scored) -> dict[str, float]:
@@ -167,7 +171,8 @@ TILTED, SCALED = 2.0, 0.2
 
 def aligned_first(s: Scored, values: Mapping[str, float]) -> Notice | None:
     """What is said of a path that only an alignment brings to its truth: the column of the RMSE after it."""
-    if any(n.code in (Code.PATH_CLOCK, Code.PATH_LEAP) for n in s.run.notes) or s.run.match is None:
+    doubted = any(n.code in (Code.PATH_CLOCK, Code.PATH_LEAP) for n in s.run.notes)
+    if (doubted and not s.apart) or s.run.match is None:
         return None
     truth = s.run.space[s.phase].truth.position if s.phase in s.run.space else s.run.match.truth[:, :2]
     known = truth[np.isfinite(truth).all(axis=1)]
@@ -183,13 +188,9 @@ def aligned_first(s: Scored, values: Mapping[str, float]) -> Notice | None:
     off = off[np.isfinite(off[:, :2]).all(axis=1)]
     begun = len(off) > 0 and math.hypot(*off[0, :2]) < fits and abs(wrap_angle(off[0, 2])) < SAME_START
     tilted = any(n.code == Code.PATH_TILT and n.named["which"] == "world" for n in s.run.notes)
-    if (
-        len(known) < PLENTY
-        or size < STANDING
-        or begun
-        or mean < POOR
-        or not direct > max((TILTED if tilted else OTHER_FRAME) * fits, FITS * size)
-    ):
+    known_frame = len(known) < PLENTY or size < STANDING or begun or mean < POOR
+    stays = known_frame or not direct > max((TILTED if tilted else OTHER_FRAME) * fits, FITS * size)
+    if not math.isfinite(fits) or (stays and not s.apart):
         return None
     return notice(Code.ALIGNED_FIRST, column=column, direct=direct, how=how)
 

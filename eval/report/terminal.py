@@ -145,15 +145,13 @@ def _table(rows: Sequence[Sequence[str]]) -> list[str]:
 
 @dataclass(frozen=True)
 class Results:
-    """What came out, and what the referee found. `judged`: verdicts of studies; `judgements`: of each log and task;
-    `notices`: all but those about what is missing for lack of memory.
-    """
+    """What came out, and what the referee found."""
 
     outcome: Outcome
     scores: Scores
-    judged: list[Judged]
-    judgements: list[tuple[Trial, Judgement]]
-    notices: list[Notice]
+    judged: list[Judged]  # verdicts of studies
+    judgements: list[tuple[Trial, Judgement]]  # of each log and task
+    notices: list[Notice]  # all but those about what is missing for lack of memory
 
 
 def flaws_of(trials: Sequence[Trial]) -> dict[tuple[str, str, str, str], Failure]:

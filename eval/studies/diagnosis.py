@@ -125,10 +125,7 @@ LOW, HIGH = 0.01, battery.LEVEL  # family-wise p value of slopes that rejects, o
 
 
 def settled(real: Sample, twins: Sequence[Sample], slopes: float = 1.0) -> bool:
-    """Whether more twins would not change whether a log is rejected (sequential Monte Carlo test).
-
-    `slopes`: see `slopes_p`. A rejection takes `SURE_OF_IT` of them at least, so that its p value is small.
-    """
+    """Whether more twins would not change a rejection (sequential Monte Carlo test); `slopes`: see `slopes_p`."""
     values, drawn, _, theory, compared = _beside(real, twins)
     largest, exceeded = list[float](), list[int]()
     for which in (compared & ~theory, compared):  # few twins are compared in slopes, too
@@ -273,10 +270,7 @@ def _head_first(findings: Sequence[Finding], indicated: Finding | None) -> list[
 
 
 def _leading(found: Sequence[tuple[float, Finding]]) -> list[tuple[float, Finding]]:
-    """Of findings with their gains those that may lead: systematic errors with a share of the largest gain, else all.
-
-    They make noise look larger, and never smaller.
-    """
+    """Findings with gains that may lead: systematic errors near the largest (they make noise look larger), else all."""
     most, top = max(found, key=lambda x: x[0], default=(0.0, None))
     smaller = top is not None and top.kind == "sigma" and top.size < 1.0
     return [x for x in found if x[1].kind == "systematic" and x[0] >= FIRST * most and not smaller] or [*found]
@@ -374,10 +368,7 @@ def with_all_sources(smoother: Run, inputs: Inputs) -> Run:
 
 
 def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[list[Finding], Inputs] | None:
-    """The explanation with the best odds, and the inputs corrected by it; None where none has better odds than none.
-
-    Those with a model of the inputs have the likelihood of a filter's innovations. Of each kind a few are tried.
-    """
+    """The explanation of the best odds (of each kind a few are tried), and the inputs corrected by it; None: none."""
     found = explanations.explanations(e, taken)
     linear = has_sources(e.inputs)
     stated = _linear(e.inputs, e.used, e.path) if linear else _likelihood(e.inputs, e.used, smoother)
@@ -419,10 +410,7 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[list[Findin
 
 
 def _systematic(e: Evidence, smoother: Run, taken: Sequence[str], noisy: Inputs) -> tuple[list[Finding], Inputs] | None:
-    """Systematic errors at the `noisy` inputs, whose noise is that of the log, and the stated ones without them.
-
-    Stated noise that is too large hides them. They are taken one after the other.
-    """
+    """Systematic errors at the `noisy` inputs, as too large stated noise hides them, and the stated inputs without."""
     findings, inputs = list[Finding](), e.inputs
     while len(findings) < ROUNDS:
         refitted = _refitted(noisy, smoother)
@@ -538,10 +526,7 @@ def _false(e: Evidence, smoother: Run, stated: float) -> list[Tried]:
 
 
 def _mispaired(e: Evidence, smoother: Run, stated: float) -> list[Tried]:
-    """Outliers most of which fit another landmark, left out; they are those of a robust smoother, as others bend.
-
-    Some are only seen once others are left out.
-    """
+    """Outliers most of which fit another landmark, left out one after the other; those of a robust smoother."""
     outliers, elsewhere, more = residuals.misfits(e.inputs, e.path, e.used, e.residuals)
     asked = elsewhere >= ELSEWHERE * outliers or more >= GROSS * outliers  # a bent map fits no landmark
     inputs, wrong, all_of_them = e.inputs, 0, 0
@@ -572,10 +557,7 @@ def _mispaired(e: Evidence, smoother: Run, stated: float) -> list[Tried]:
 
 
 def _likelihood(inputs: Inputs, used: Used, smoother: Run) -> float:
-    """Log-likelihood of the innovations of a filter with given pairings; minus infinity where it fails.
-
-    With fixes or closures that of all data, at the smoothed solution of these inputs (`graph.qr.score_test.evidence`).
-    """
+    """Log-likelihood of a filter's innovations, beside fixes or closures of all data; minus infinity if it fails."""
     if has_sources(inputs):
         again = _refitted(inputs, smoother)
         return -math.inf if again is None else _linear(inputs, residuals.used_by(again, inputs), _path(again))

@@ -61,15 +61,11 @@ class Published:
 
 @dataclass(frozen=True)
 class Member:
-    """An estimator of a scenario: tasks in which it is declared consistent, and its parameters of the world.
+    """An estimator of a scenario."""
 
-    `name` is ours, or the settled text of a foreign one. `world` may change only what an estimator is given (a
-    published filter's own noise), never what happened.
-    """
-
-    name: str
-    must_be_consistent: tuple[str, ...] = ()
-    world: tuple[tuple[str, object], ...] = ()
+    name: str  # of ours, or the settled text of a foreign one
+    must_be_consistent: tuple[str, ...] = ()  # tasks in which it is declared consistent
+    world: tuple[tuple[str, object], ...] = ()  # parameters of what it is given, never of what happened
 
 
 @dataclass(frozen=True)

@@ -122,11 +122,7 @@ UNIDENTIFIABLE = 1e-16  # least share of a column's square that path and map mus
 
 
 class Score(NamedTuple):
-    """Score of p systematic errors; zero for an error that the data cannot identify.
-
-    The efficient estimate of error j, if it is the only one, is score[j] / information[j, j], its variance 1 /
-    information[j, j].
-    """
+    """Score of p systematic errors; zero for an error that the data cannot identify."""
 
     score: Array  # (p,) derivative of the profile log-likelihood by the size of each error, at size zero
     information: Array  # (p, p) covariance of the score under the null hypothesis

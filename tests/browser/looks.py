@@ -31,7 +31,6 @@ PAGES = {
 
 
 def pages(folder: Path) -> Iterator[tuple[str, Path]]:
-    """Names and files, after every command that has not run yet in this folder."""
     for name, words in COMMANDS.items():
         if not (folder / name).exists() and slamref.main([*words, "--out", str(folder / name), "-q"]) == 2:
             raise SystemExit(f"slamref {' '.join(words)} failed")

@@ -9,8 +9,6 @@ WIDTHS = (1400, 1100, 400)
 
 
 class Opened:
-    """A page, and what it complained of or asked for."""
-
     def __init__(self, browser, path, width=1400, dark=False):
         self.page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme="dark" if dark else "light")
         self.complaints, self.asked = [], []

@@ -15,8 +15,6 @@ pytestmark = pytest.mark.browser
 
 
 class Drive:
-    """A drive that goes on when it is told to."""
-
     def __init__(self, rng):
         self.session, self.feed = Session(("ekf", "ekf-iterated"), "jcbb", Setup()), Feed(2)
         self._packets = iter(drive(room(0), WallFollower(), 300.0, rng).packets)

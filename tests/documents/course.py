@@ -87,7 +87,6 @@ def page(name: str) -> str:
 
 
 def notebook(name: str) -> str:
-    """The notebook of a lesson: the same texts and code, without outputs."""
     texts, blocks, _, _ = parts(name)
     cells = [("code", "%matplotlib inline\n")]
     for text, block in zip(texts, [*blocks, None], strict=True):

@@ -23,7 +23,6 @@ def shown(value: float, layout: str) -> str:
 
 
 def stored() -> dict[str, dict[str, float]]:
-    """Values by result and name."""
     found: dict[str, dict[str, float]] = json.loads(STORE.read_text(encoding="utf-8"))
     return found
 

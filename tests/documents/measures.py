@@ -48,7 +48,6 @@ def of_estimators(table: pd.DataFrame, column: str, estimators: Iterable[str], s
 
 
 def arena() -> Values:
-    """`slamref study arena --runs 100`, localization."""
     study = slamref.study(
         lambda seed: slamref.open_log(f"arena:{seed}"), ["ekf", "isam2", "batch"], task="localization", runs=100
     )
@@ -56,7 +55,6 @@ def arena() -> Values:
 
 
 def circle() -> Values:
-    """`slamref study circle --runs 100`, SLAM."""
     study = slamref.study(lambda seed: slamref.open_log(f"circle:{seed}"), ["ekf", "batch"], runs=100, jobs=2)
     return of_study(study, {"ekf": "online", "batch": "final"})
 
@@ -73,7 +71,6 @@ def of_study(study: slamref.Study, phases: Mapping[str, str]) -> Values:
 
 
 def dataset9() -> Values:
-    """UTIAS Dataset 9 robot 3, localization and SLAM."""
     spans = ("--exclude-truth", "755:836", "--exclude-truth", "945:1050")
     log = WORK / "d9r3"
     shutil.rmtree(log, ignore_errors=True)
@@ -176,7 +173,6 @@ def sound() -> Values:
 
 
 def printed(name: str) -> None:
-    """Store what the command of an example prints."""
     folder = WORK / "printed" / name
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)

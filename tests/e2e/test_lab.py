@@ -13,7 +13,6 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory):
-    """The corridor lab, twice."""
     folders = []
     for name in ("one", "two"):
         out = tmp_path_factory.mktemp("lab") / name

@@ -42,7 +42,6 @@ def report(tmp_path_factory, my_log):
 
 @pytest.fixture(scope="module")
 def numbers(tmp_path_factory, my_log):
-    """Result folder without pictures, of estimators of every kind."""
     out = tmp_path_factory.mktemp("results") / "numbers"
     every = "dead-reckoning,ekf,isam2,batch,batch-huber"
     assert main(asked(my_log, every, out, "--task", "localization,slam", "--no-plots")) == 0

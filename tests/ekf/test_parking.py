@@ -174,7 +174,6 @@ def test_parking_makes_expectations_stale_and_parking_nobody_does_not():
 
 @pytest.fixture(scope="module")
 def park():
-    """800 frames, some 80 landmarks, with loops; some readings are of nothing."""
     inputs = named_log("park:1:frames=800+spacing=2.5").inputs(labels=True).without_map()
     decisions, _ = known_decisions(inputs)
     return inputs, np.where((decisions >= 0) & (np.arange(len(decisions)) % 97 == 0), DISCARD, decisions)

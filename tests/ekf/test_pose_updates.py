@@ -28,7 +28,6 @@ PRIOR = Prior(np.array([1.0, 2.0, 0.4]), np.array([[0.09, 0.02, 0.0], [0.02, 0.0
 
 
 def through(filter_, motions, fixes=None, closures=None, gate=None, last_use=None):
-    """What the filter did with the fixes and closures of each frame."""
     done = []
     if closures is not None:
         filter_.keep(closures.last_use() if last_use is None else last_use)

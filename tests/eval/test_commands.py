@@ -440,7 +440,6 @@ def shown(page):
 
 @pytest.fixture
 def only_read(monkeypatch, tmp_path):
-    """Commands end when their words were read."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my_run.toml").write_text("quick = true\n")
     refuse, options = Parser.refuse, flags.read_options

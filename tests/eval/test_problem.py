@@ -25,7 +25,6 @@ def few_tries(monkeypatch):
 
 
 def opened(path, folder):
-    """The unpacked copy, after a look at all its words and numbers."""
     with zipfile.ZipFile(path) as archive:
         archive.extractall(folder)
     texts = {f.name: f.read_text() for f in folder.rglob("*") if f.is_file()}

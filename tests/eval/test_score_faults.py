@@ -54,9 +54,6 @@ def tum(places, yaw=0.0, z=0.0, step=1.0, start=0.0):
     )
 
 
-# ---- columns by name
-
-
 NAMES = {
     "TUM, w first": ("# timestamp tx ty tz qw qx qy qz", " ", "txyzWXYZ"),
     "no comment": ("time,pos_x,pos_y,pos_z,quat_w,quat_x,quat_y,quat_z", ",", "txyzWXYZ"),
@@ -148,9 +145,6 @@ def test_units_of_stamps_are_inferred_and_said(unit, scale, start, scored):
     assert not asked
 
 
-# ---- axes
-
-
 def kitti(places, height=0.0):
     return lines((1, 0, 0, x, 0, 1, 0, height, 0, 0, 1, z) for x, z in places)
 
@@ -214,9 +208,6 @@ def test_degrees_in_both_files_are_inferred_and_many_turns_in_rad_are_none(score
     assert not asked
 
 
-# ---- angles and roles
-
-
 def headed(headings, places=CURVE, more=""):
     return commas([(k, x, y, h) for k, ((x, y), h) in enumerate(zip(places, headings))], "t,x,y,theta" + more)
 
@@ -267,8 +258,6 @@ def test_a_mirrored_path_is_asked_about_and_not_turned_over(planar, scored):
     assert len(asked) == 1
     assert "mirror image" in asked[0]
 
-
-# ---- covariances
 
 SIGMA = np.diag([0.1, 0.2, 0.3, 0.001, 0.002, 0.003])
 SWAP = [3, 4, 5, 0, 1, 2]
@@ -418,11 +407,6 @@ def test_openvins_states_blocks_of_rotation_and_position(scored):
             assert values[name] == pytest.approx(right[name], rel=1e-4)
 
 
-# ---- words
-
-
-# ---- clocks, frames and headings that one file has otherwise than the other
-
 WAY = world(0).truth[::2]
 AWAY = np.array([3.0, 4.0, 68.0 * DEG])
 
@@ -546,3 +530,34 @@ def test_a_path_in_another_frame_is_aligned_first(scored):
     for given, first in ((files, "3d_sim3_m"), (files[1:] * 2, "m"), ((*files, "--align", "none"), "m")):
         assert scored(*given)[2].startswith(f"rmse_position_{first} ")
     assert scored(*plane)[2].startswith("rmse_aligned_m ")
+
+
+def test_latitudes_are_metres_about_one_origin_and_beside_another_frame_aligned(scored):
+    """Metres and heights of the ellipsoid, of both files about the truth's first place."""
+    t, x, y, _ = WAY.T
+    radii = np.array([6367381.8, 6388838.3]) + 200.0  # m, of the meridian and across it at 45 deg, 200 m up
+    place = np.column_stack([t, 45.0 + np.degrees(y / radii[0]), 7.0 + np.degrees(x / radii[1] / math.sqrt(0.5))])
+    high, moved = np.column_stack([place, 200.0 + 0 * t]), place + [0.0, np.degrees(3.0 / radii[0]), 0.0]
+    named, radian = commas(high, "t,gps_lat (deg),gps_lon (deg),alt (m)"), np.radians(moved[:, 1:])
+    turned = commas(np.column_stack([t, radian]), "t,lat_rad,lon_rad")
+    assert scored(turned, named)[0]["rmse_position_m"] == pytest.approx(3.0, abs=1e-3)
+    bare = lines(high[:, :3]), lines(high)
+    for truth in bare:
+        values, _, text = scored(posed(WAY * [1, -1, -1, 1] + [0.0, 5.0, 5.0, 0.0]), truth)
+        assert text.startswith(("rmse_aligned_m", "rmse_position_3d_se3_m"))
+        assert values["rmse_aligned_m"] < 1e-2
+        assert "inferred: --columns t=1,lat=2,lon=3" in text
+    assert "t=1,lat=2,lon=3" in scored(lines(np.column_stack([high, radian])), named, status=2)
+    assert "degrees are needed" in scored(commas([[1, 95, 7]], "t,lat,lon"), named, status=2)
+
+
+def test_a_place_and_a_quaternion_are_read_behind_any_stamp(scored):
+    """Rows of twelve are poses of KITTI only with rotations in them."""
+    t, x, y, yaw = WAY.T
+    q = np.column_stack([0 * t, 0 * t, np.sin(0.5 * yaw), np.cos(0.5 * yaw)])
+    for rows in (np.column_stack([t, x, y, q, np.ones((len(t), 5))]), np.column_stack([t, x, y, 0 * t, q, t])):
+        values, asked, text = scored(lines(rows), posed(WAY))
+        assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-9)
+        assert values["rmse_heading_deg"] == pytest.approx(0.0, abs=1e-6)
+        assert "inferred: --columns t=1,x=2,y=3" in text
+        assert not asked

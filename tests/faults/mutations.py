@@ -103,7 +103,6 @@ def tabled(content: bytes, rng: Rng) -> bytes:
 
 
 def swollen(content: bytes, rng: Rng) -> bytes:
-    """One field or line is very large."""
     lines = content.split(b"\n")
     i = int(rng.integers(len(lines)))
     lines[i] += pick(rng, [b"9" * 200_000, b"," * 200_000, b" 1" * 100_000, b"\x00" * 200_000])
@@ -114,7 +113,6 @@ TABLE: list[Fault] = [tabled, tabled, tabled, tabled, flipped, truncated, extend
 
 
 def deep(content: bytes, rng: Rng) -> bytes:
-    """TOML that is nested without end."""
     open_, close = pick(rng, [(b"[", b"]"), (b"{a=", b"}"), (b"[{a=", b"}]")])
     n = int(rng.integers(50, DEPTH))
     nested = pick(rng, [b"deep = " + open_ * n + close * n, b"deep" + b".a" * n + b" = 1", b"[" + b"a." * n + b"a]"])

@@ -70,8 +70,6 @@ def faults_of(name: str) -> list[Fault]:
 
 
 class Reader(NamedTuple):
-    """A reader under test."""
-
     inputs: Callable[[], list[Files]]  # valid inputs, each a folder's files by their names; made once
     read: Callable[[Path], Any]  # reads a folder
     check: Callable[[Any], None]  # raises AssertionError if what was read is not sound

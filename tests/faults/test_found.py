@@ -48,8 +48,6 @@ def peak(read, *args):
 
 @pytest.fixture
 def laser(tmp_path):
-    """`laser(scans)`: a laser log with these bytes as its scans."""
-
     def make(scans):
         return str(save(tmp_path / "laser", {**GOOD, "scans.npz": scans}))
 

@@ -24,7 +24,6 @@ def sigmas(covariance):
 
 
 def compare(inputs, decisions, created, start):
-    """The batch against the oracle: cost, poses, landmarks, errors, and the covariance of each."""
     found = smooth(inputs, decisions, created, start)
     oracle = Dense(inputs, decisions, created)
     cost, x, P = oracle.solved(start)

@@ -38,7 +38,6 @@ def fixes_of(truth, fixed, rng, scale=1.0):
 
 
 def closures_of(truth, ties, rng, scale=1.0):
-    """Closures drawn from true poses, ordered by their later frame."""
     ties = sorted(ties, key=max)
     relative = np.array([se2.between(truth[a], truth[b]) for a, b in ties])
     relative += scale * rng.multivariate_normal(np.zeros(3), C, len(ties))

@@ -155,7 +155,6 @@ def _columns(path: Path, name: str) -> Columns:
 
 
 def digests(columns: Mapping[str, Columns]) -> dict[str, dict[str, str]]:
-    """What is kept of files and their columns, as it is written into the record."""
     return {name: {c: str(digest_of(cells)) for c, cells in held.items()} for name, held in columns.items()}
 
 

@@ -30,7 +30,6 @@ def scored():
 
 @pytest.fixture(scope="module")
 def files(scored, tmp_path_factory):
-    """Estimate in wide TUM, truth in TUM."""
     log, run, _, _ = scored
     folder = tmp_path_factory.mktemp("tum")
     truth = log.truth.pose

@@ -144,7 +144,6 @@ def lines(what: str, quick: bool) -> list[Timed]:
 
 
 def series(found: Sequence[Timed]) -> dict[tuple[str, str], tuple[list[int], list[float]]]:
-    """Sizes and costs by quantity and what has the cost."""
     made: dict[tuple[str, str], tuple[list[int], list[float]]] = {}
     for t in found:
         sizes, costs = made.setdefault((t.unit, t.what), ([], []))
@@ -154,7 +153,6 @@ def series(found: Sequence[Timed]) -> dict[tuple[str, str], tuple[list[int], lis
 
 
 def text(found: Sequence[Timed]) -> str:
-    """A line for each series: exponent of growth, and the cost [s] at each size."""
     return "\n".join(
         f"{unit:10s} {what:20s} n^{slope(sizes, costs):5.2f}   "
         + "  ".join(f"{n}: {s:.3g} s" for n, s in zip(sizes, costs, strict=True))

@@ -40,18 +40,14 @@ VAGUE, PRIOR = 1e-4, 6  # leverage of a row below which a sigma that is too larg
 
 @dataclass(frozen=True, eq=False)
 class Components:
-    """Arrays (K,): component, its standard error, redundancy at the stated weights; NaN where nothing is redundant.
-
-    `ratio` is the sum of squares over the redundancy, both at the stated weights; `freedom` that of its chi-square.
-    `vague`: sigmas that may be wide, as those of a prior that only states a gauge: its rows move nothing, or are few.
-    """
+    """Variance components (K,); NaN where nothing is redundant."""
 
     component: Array
-    error: Array
-    redundancy: Array
-    ratio: Array
-    freedom: Array
-    vague: BoolArray
+    error: Array  # standard error of the component
+    redundancy: Array  # at the stated weights
+    ratio: Array  # sum of squares over the redundancy, both at the stated weights
+    freedom: Array  # of the chi-square of the ratio
+    vague: BoolArray  # sigmas that may be wide, as those of a gauge alone: their rows move nothing, or are few
 
     @property
     def zero(self) -> BoolArray:
@@ -410,10 +406,7 @@ def examined(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, by: Grouping = None, draws: int = DRAWS, seed: int = 0,
     *, steps: int = TURNS, told: Told = unheard,
 ) -> Audit:  # fmt: skip
-    """Examine a graph around its values, with so many `steps` of a search at most; `told` each stage.
-
-    Raises DataError as `linearize`, and for a graph without factors.
-    """
+    """Examine a graph around its values, with at most `steps` of a search. DataError as `linearize`, or if empty."""
     system = linear.linearize(graph, values)
     if not system.rows or not len(system.keys):
         raise DataError("the graph has no factor of a variable; at least one is needed")

@@ -32,17 +32,13 @@ Grouping = Callable[[int, gtsam.NonlinearFactor], str] | Sequence[str] | None
 
 @dataclass(frozen=True)
 class Kinds:
-    """Kind of each factor, -1 of an empty slot: `of` (F,), names, and per kind the names of its components.
+    """Kinds of the factors of a graph."""
 
-    `loops` (F,): relations of variables that are no neighbours. A kind without names of components has a noise that is
-    not diagonal, or one residual. `assumed`: kinds whose noise nobody stated.
-    """
-
-    of: IntArray
+    of: IntArray  # (F,) kind of each factor, -1 of an empty slot
     names: tuple[str, ...]
-    axes: tuple[tuple[str, ...], ...]
-    loops: BoolArray
-    assumed: tuple[str, ...] = ()
+    axes: tuple[tuple[str, ...], ...]  # names of components; none: noise that is not diagonal, or one residual
+    loops: BoolArray  # (F,) relations of variables that are no neighbours
+    assumed: tuple[str, ...] = ()  # kinds whose noise nobody stated
 
 
 def kinds(graph: gtsam.NonlinearFactorGraph, by: Grouping = None) -> Kinds:

@@ -174,17 +174,13 @@ class Gallery:
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """A picture in the camera: number, distance of its middle [m], obliquity [rad], pixels (4, 2), points (4, 3).
+    """A picture in the camera."""
 
-    The obliquity is the angle between the picture's normal and the line of sight to its middle; beyond 90 degrees it is
-    seen from behind. `pixels` are NaN for corners behind the camera.
-    """
-
-    picture: int
-    distance: float
-    obliquity: float
-    pixels: Array
-    points: Array
+    picture: int  # its number
+    distance: float  # m, of its middle
+    obliquity: float  # rad, between its normal and the line of sight to its middle; above pi/2: from behind
+    pixels: Array  # (4, 2), NaN for corners behind the camera
+    points: Array  # (4, 3) m
 
 
 def in_camera(g: Gallery, pose: Array, points: Array) -> Array:

@@ -39,20 +39,15 @@ NEIGHBOURS = 6  # key frames before and after, whose candidates must agree with 
 
 
 class Candidate(NamedTuple):
-    """Two key frames that may see one place.
-
-    similarity: cosine of their bags. inliers: of the essential matrix, or of the resection. relative, covariance:
-    pose (3,) of frame2 in frame1 [m, m, rad], and (3, 3) of its additive error; NaN where the geometry refused it.
-    likelihood: that it is right, by the odometry, against the other candidates and chance.
-    """
+    """Two key frames that may see one place."""
 
     frame1: int
     frame2: int
-    similarity: float
-    inliers: int
-    relative: Array
-    covariance: Array
-    likelihood: float
+    similarity: float  # cosine of their bags
+    inliers: int  # of the essential matrix, or of the resection
+    relative: Array  # pose (3,) of frame2 in frame1 [m, m, rad]; NaN where the geometry refused it
+    covariance: Array  # (3, 3) of its additive error
+    likelihood: float  # that it is right, by the odometry, against the other candidates and chance
 
 
 class KeyFrame(NamedTuple):
@@ -63,13 +58,11 @@ class KeyFrame(NamedTuple):
 
 
 class Cloud(NamedTuple):
-    """Points (n, 3) m in a camera's frame, and the features (n,) they are of. shifted: (3, n, 3) m, the points after a
-    step of one sigma in each direction of the motion they were found with.
-    """
+    """Points in a camera's frame, and the features that they are of."""
 
-    points: Array
-    feature: IntArray
-    shifted: Array
+    points: Array  # (n, 3) m
+    feature: IntArray  # (n,)
+    shifted: Array  # (3, n, 3) m, after a step of one sigma in each direction of the motion they were found with
 
 
 class Camera(NamedTuple):

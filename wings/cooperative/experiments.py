@@ -1,7 +1,5 @@
 """The experiments of `slamref run NAME --cooperative`: each robot of a team with each exchange."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

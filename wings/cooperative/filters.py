@@ -12,8 +12,6 @@ w of the smallest determinant of P_a. The naive exchange takes w = 1 in both pla
 back as if it were new, and P_a shrinks each time.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The report's section on a team: every robot alone and together, who was taken for whom, one map with all paths."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Runs of a team: each estimator once for all robots, one run for each of them (`data.wing.Wing.replays`)."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace

@@ -5,8 +5,6 @@ poses. The frames of the robots are numbered one robot after the other. Gauss-Ne
 those of `graph.qr`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -47,16 +45,14 @@ sqrt(2 / 300) of a mean of 100 runs. In the curved valley of odometry that is st
 
 
 class TeamSmoothed(NamedTuple):
-    """The optimum: path of each robot, landmarks by label (None: the map was known); cost, twice the sum of halved
-    squares, with its degrees of freedom, steps, and the largest component of the remaining step in sigmas.
-    """
+    """The optimum."""
 
-    paths: tuple[Trajectory, ...]
-    map: MapState | None
-    cost: float
+    paths: tuple[Trajectory, ...]  # of each robot
+    map: MapState | None  # landmarks by label; None: the map was known
+    cost: float  # twice the sum of halved squares
     dof: int
-    iterations: int
-    last_step: float
+    iterations: int  # steps
+    last_step: float  # largest component of the remaining step in sigmas
 
 
 def smooth_team(

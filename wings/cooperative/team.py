@@ -4,8 +4,6 @@ Each robot has frames of its own. The instants of the team are all their times; 
 another one, every robot that is under way has a frame. Nothing here contains ground truth.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """A UTIAS MRCLAM dataset as a team: one log for each robot with ground truth, and what the robots saw of each other."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Each robot has odometry, observations of landmarks and a prior of its own, all from independent streams of the seed.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace

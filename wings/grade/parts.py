@@ -3,8 +3,6 @@
 Every question states all that its answer depends on, so an early mistake is not counted again later.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

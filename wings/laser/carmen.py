@@ -467,7 +467,7 @@ def _notes(lines: CarmenLines, frame: IntArray, kept: IntArray, stamp: Array) ->
     if (back := int((np.diff(stamp) <= 0.0).sum())) > 0:
         notes.append(f"{back} of {len(stamp)} stamps do not increase; line order is used.")
     if len(lines.neff):
-        recover = "data.convert carmen --undo-correction recovers the odometry"
+        recover = "slamref convert carmen --undo-correction recovers the odometry"
         notes.append(f"Poses of a particle filter (NEFF lines): {recover}.")
     return notes
 

@@ -19,16 +19,12 @@ FLOOR = 1e-10  # Smallest eigenvalue of an increment's covariance, for a robot a
 
 
 class TravelNoise(NamedTuple):
-    """Odometry noise that grows with travel: standard deviations per sqrt(m) and per sqrt(rad).
+    """Odometry noise that grows with travel: standard deviations per sqrt(m) and per sqrt(rad)."""
 
-    `translation_*` of the motion along and across [m / sqrt(m), m / sqrt(rad)], `rotation_*` of the heading
-    [rad / sqrt(m), rad / sqrt(rad)].
-    """
-
-    translation_per_metre: float = TRANSLATION_PER_METRE
-    translation_per_radian: float = TRANSLATION_PER_RADIAN
-    rotation_per_metre: float = ROTATION_PER_METRE
-    rotation_per_radian: float = ROTATION_PER_RADIAN
+    translation_per_metre: float = TRANSLATION_PER_METRE  # along and across the motion, m / sqrt(m)
+    translation_per_radian: float = TRANSLATION_PER_RADIAN  # the same, m / sqrt(rad)
+    rotation_per_metre: float = ROTATION_PER_METRE  # of the heading, rad / sqrt(m)
+    rotation_per_radian: float = ROTATION_PER_RADIAN  # the same, rad / sqrt(rad)
 
 
 MEASURED = TravelNoise()

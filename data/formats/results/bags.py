@@ -37,12 +37,7 @@ def file_and_topic(name: str) -> tuple[Path, str | None]:
 
 
 def read_bag(path: Path, topic: str | None, manner: Manner) -> GivenPath:
-    """The poses of a topic, which may be left out if it is the only one; sorted by stamp.
-
-    Raises:
-        UsageError: a missing or ambiguous topic, or `rosbags` is not installed.
-        DataError: no bag, no message, several frames, or an invalid number.
-    """
+    """Poses of a topic, or of the only one, by stamp. UsageError: which topic, or no `rosbags`; DataError: bad data."""
     tree, rows, frames, unstamped = Tree(), list[list[float]](), set[tuple[str, str]](), 0
     with opened(path, frozenset(KINDS)) as reader:
         kinds = {c.topic: c.msgtype for c in reader.connections if c.msgtype in KINDS}

@@ -148,6 +148,8 @@ class GivenPath(Locked):
     transforms: object | None = None  # of other frames, from the same file; None: none
     # (n,) of a planar file before wrapping, if the file does not state their unit; read as rad
     headings: Array | None = None
+    # latitude and longitude [deg], height [m] of the origin, of a file of such; else empty
+    datum: tuple[float, ...] = ()
 
     def __len__(self) -> int:
         return len(self.time)
@@ -213,10 +215,11 @@ class Manner:
     stamps: str | None = None  # unit of the stamps; None: as stated or inferred
     angles: str | None = None  # unit of headings, roll and pitch (`rad`, `deg`); None: as stated, else rad
     lengths: str | None = None  # unit of positions (a key of `LENGTH`); None: as stated, else m
-    # names, or numbers from 1, of columns by role (t, x, y, z, roll, pitch, yaw, qx, qy, qz, qw)
+    # names, or numbers from 1, of columns by role (t, x, y, z, lat, lon, alt, roll, pitch, yaw, qx, qy, qz, qw)
     columns: Mapping[str, str] = field(default_factory=dict)
     true: bool = False  # where a row holds both, the true pose is read
     rows: bool = False  # a row holds both: stamps that do not ascend are not read
+    datum: tuple[float, ...] = ()  # of latitudes and longitudes, as of `GivenPath`; empty: their first place
 
 
 COARSE = 1.0 / 3.0  # Largest share of poses that have the stamp of a different one: of more the stamps lack digits

@@ -1,9 +1,11 @@
 """Read a result in any format, recognized by content; a header that names columns decides first."""
 
+import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ import scipy
 from data.columns.named import COVARIANCE, LENGTH, STAMP, YAW
 from data.csv_table import ends_early, is_number, symmetric
 from data.dates import EXAMPLE, IN_SECONDS, ISO, is_date, seconds_of
+from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean
 from data.formats.messages import topic_of, topics_in, whole_names
 from data.formats.results import lines
@@ -40,6 +43,11 @@ TRUE = frozenset(("gt", "true", "truth", "groundtruth"))  # Those of the true pa
 SIDES = TRUE | {"est", "estimate", "estimated", "hat", "ekf", "ukf", "kf", "pf", "slam", "odom", "ref"}
 """Of these, those that may stand behind a name."""
 NANOSECONDS = frozenset(("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds"))  # Beside seconds, or alone
+GNSS = frozenset(("gps", "gnss", "rtk", "ins", "fix", "geo", "ref"))  # May stand around latitude, longitude, height
+EARTH = {
+    "lat": "lat", "latitude": "lat", "lon": "lon", "lng": "lon", "longitude": "lon",
+    **dict.fromkeys(("alt", "altitude", "height", "elevation"), "alt"),
+}  # fmt: skip
 ANGLES = {"roll": "roll", "pitch": "pitch", **dict.fromkeys(YAW, "yaw")}
 TURNS = {"rad": 1.0, "deg": np.pi / 180.0}
 ALIAS = (
@@ -66,6 +74,7 @@ class Columns:
     named: int
     line: int
     in_data: bool
+    told: str = ""  # what is inferred, as a flag
 
     @property
     def order(self) -> tuple[str, ...]:
@@ -92,7 +101,7 @@ def header_names(text: Text, manner: Manner) -> Columns | None:
                 names = tuple(part for n in names[:cut] for part in GROUPS.get(n, (n,)))
             found = _columns(text, names, line, manner, in_data=False)
             roles = len(found.place)
-            if not {"x", "qx", "qw"} & set(found.place):
+            if not {"x", "lat", "qx", "qw"} & set(found.place):
                 continue
             if (found.named == width and roles >= 3) or (roles >= 4 and roles >= 0.6 * found.named):
                 if found.named > width:
@@ -116,7 +125,7 @@ def _glued(names: tuple[str, ...]) -> tuple[str, ...]:
 
 def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, in_data: bool) -> Columns:
     """The column of each role: the stated one, else by its name; of an estimate and a truth in one row those of one."""
-    read, place = [role_of(name) for name in names], {}
+    read, place, earth = [role_of(name) for name in names], {}, {"lat", "lon"}
     for role, name in manner.columns.items():
         number = int(name) - 1 if name.isdecimal() else -1
         if name not in names and not 0 <= number < len(names):
@@ -126,6 +135,10 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
     if len(several := topics_in(names)) > 1 and "x" in place and (topic := topic_of(names[place["x"]])):
         read = _roles(names, topic)
     found: dict[str, list[int]] = {}
+    if earth <= (there := {role for role, _ in read} | {*place}) and (earth <= {*place} or not {"x", "y"} <= there):
+        read = [("", "") if role in tuple("xyz") else (role, unit) for role, unit in read]
+    else:
+        read = [("", "") if role in EARTH else (role, unit) for role, unit in read]
     for j, (role, _) in enumerate(read):
         if role and role not in place and j not in place.values():
             found.setdefault(role, []).append(j)
@@ -189,6 +202,8 @@ def role_of(name: str) -> tuple[str, str]:
         return f"c_{''.join(sorted(pair, key='xyt'.index))}", ""
     if found := re.fullmatch(r"(?:c|p|cov)([1-6])([1-6])", "".join(words)):
         return f"c{found[1]}{found[2]}", ""
+    if last in EARTH and around <= GNSS | PLACE:
+        return EARTH[last], unit
     if last in tuple("wxyz") and around & TURN and around <= TURN | PLACE:
         return f"q{last}", ""
     if (found := re.fullmatch(r"(?:q|quat)([wxyz])", last)) and around <= TURN:
@@ -226,7 +241,7 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     if ours:
         _require_ours(text, columns, manner)
     quaternion = [q for q in POSE[4:] if q in place]
-    for role in ("x", "y", *(POSE[4:] if quaternion else ())):
+    for role in (*(("lat", "lon") if "lat" in place else ("x", "y")), *(POSE[4:] if quaternion else ())):
         if role not in place:
             what = f"the header names no column {role}: {', '.join(columns.order) or 'none'} are known"
             ends = [name for name in columns.unread if words_of(name)[0][-1:] == [role]][:SHOWN]
@@ -242,7 +257,8 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     if absent:
         value["yaw"] = np.zeros(len(body.fields))
     angles = (TURNS, manner.angles or "rad")
-    units = {"t": (dict.fromkeys(DIGITS, 1.0), "s"), **dict.fromkeys("xyz", (LENGTH, "m"))}
+    units = {"t": (dict.fromkeys(DIGITS, 1.0), "s"), **dict.fromkeys(("x", "y", "z", "alt"), (LENGTH, "m"))}
+    units |= dict.fromkeys(("lat", "lon"), (TURNS, manner.angles or "deg"))
     for role, (known, usual) in (units | dict.fromkeys(("roll", "pitch", "yaw"), angles)).items():
         if role in value:
             unit = columns.unit.get(role, usual)
@@ -258,14 +274,22 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
         notes += (f"{short} of {len(body.fields)} rows end before the header does: their last columns are blank",)
     if dated is not body:
         notes += (f"inferred: stamps are dates, {IN_SECONDS}; --columns t=NAME names others",)
+    notes += (f"inferred: --columns {columns.told}",) * bool(columns.told)
+    datum: tuple[float, ...] = ()
+    if "lat" in value:  # in rad by now
+        high = value.get("alt", np.full(len(body.fields), np.nan))
+        each = np.column_stack([np.degrees(value["lat"]), np.degrees(value["lon"]), high])
+        metres, datum, said = on_plane(text.path, each, manner.datum)
+        value |= dict(zip("xyz" if "alt" in value else "xy", metres.T, strict=False))
+        notes += (said,) * bool(said)
     unit_of_time = DATES if dated is not body else "s" if "nanoseconds" in value else columns.unit.get("t")
     body = dated
     if manner.rows and not (np.diff(value["t"]) > 0.0).all() and np.isfinite([value["x"], value["y"]]).all():
         notes += ("stamps do not ascend, so its rows are compared one by one, without stamps",)
         value["t"], place = np.arange(len(body.fields), dtype=float), {r: j for r, j in place.items() if r != "t"}
         columns = replace(columns, place=place)
-    if quaternion or "z" in place or "roll" in place or "pitch" in place:
-        found = _spatial(body, columns, value, manner, notes, unit_of_time)
+    if quaternion or "z" in value or "roll" in place or "pitch" in place:
+        found = replace(_spatial(body, columns, value, manner, notes, unit_of_time), datum=datum)
         return paths.without_headings(found) if absent else found
     kind, stated = f"columns {', '.join(columns.order)}", columns.unit.get("yaw")
     if ours:
@@ -276,6 +300,7 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     found = _planar(
         body, kind, value, manner, notes, unit=unit_of_time, column=place.get("t", UNSTAMPED), angles=stated, ours=ours
     )
+    found = replace(found, datum=datum)
     return paths.without_headings(found) if absent else found
 
 
@@ -407,14 +432,14 @@ def is_euroc(text: Text) -> bool:
     return bool((rows[:, 0] > NANOSECONDS_FROM).all() and (off < UNIT).all())
 
 
-def is_stamped_matrices(text: Text) -> bool:
-    """Whether all lines are a stamp and the upper three rows of a 4x4 pose."""
-    if {len(fields) for fields in text.fields} != {1 + len(ENTRIES)}:
+def are_matrices(text: Text, before: int) -> bool:
+    """Whether most lines are some numbers `before` the upper three rows of a 4x4 pose, and all as many numbers."""
+    if {len(fields) for fields in text.fields} != {before + len(ENTRIES)}:
         return False
     if not all(is_number(f) for fields in text.fields for f in fields):
         return False
-    R = np.array(text.fields, float)[:, 1:].reshape(-1, 3, 4)[:, :, :3]
-    return bool((np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)) < UNIT).all())
+    R = np.array(text.fields, float)[:, before:].reshape(-1, 3, 4)[:, :, :3]
+    return bool(np.median(np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))) < UNIT)
 
 
 PLAIN = Manner()
@@ -443,6 +468,7 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
         text = lines.read_text(path)
         read = _reader(text, manner)
         found, cov, times = read(text, manner), read is lines.read_tum, read is lines.read_kitti
+        found = replace(found, notes=(*found.notes, text.cut)) if text.cut else found
     raw = found.headings
     if raw is not None and in_degrees(np.column_stack([found.pose[:, :2], raw])):
         told = "inferred: headings are in degrees, as which alone they follow the motion (else --unit rad)"
@@ -468,17 +494,22 @@ def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:
         plain = columns.order == POSE and columns.named == len(POSE) and not text.commas
         if not plain or len(first) not in (8, 29, 44):
             return partial(read_named, columns=columns)
-    if is_stamped_matrices(text):
+    if are_matrices(text, 1):
         return lines.read_kitti
     if is_euroc(text):
         return lines.read_euroc
-    if not text.commas and len(first) in WIDTHS and is_number(first[0]):
-        return WIDTHS[len(first)]
-    if (columns := _nameless(text, manner)) is not None:
-        return partial(read_named, columns=columns)
-    shown = f"{len(first)} fields, {','.join(first)[:40]!r}"
-    what = f"{shown}: no known trajectory format; {ACCEPTED} is needed, or columns by number: --columns x=1,y=2"
-    raise DataError.at(text.path, what, line=text.line[0])
+    known = WIDTHS.get(len(first)) if not text.commas and is_number(first[0]) else None
+    stated = {} if known not in (None, lines.read_kitti) or are_matrices(text, 0) else only_reading(text.fields)
+    if stated and (columns := header_names(text, replace(manner, columns=stated))) is not None:
+        return partial(read_named, columns=replace(columns, told=",".join(f"{q}={n}" for q, n in stated.items())))
+    if known is not None:
+        return known
+    odd = next((k for k, row in enumerate(text.fields) if len(row) != len(first)), 0)
+    shown = f"{len(text.fields[odd])} fields{f' where {len(first)} are above' * (odd > 0)}"
+    shown += f", {','.join(text.fields[odd])[:40]!r}"
+    example = ",".join(f"{q}={n}" for q, n in likely(text.fields).items())
+    what = f"{shown}: no known trajectory format; {ACCEPTED} is needed, or columns by number: --columns {example}"
+    raise DataError.at(text.path, what, line=text.line[odd])
 
 
 GUESSED = {2: (("x", "y"),), 3: (("x", "y", "yaw"), ("t", "x", "y")), 4: (("t", "x", "y", "yaw"),)}
@@ -488,21 +519,17 @@ EVEN = 0.1  # Largest relative difference of the intervals of most stamps
 FEW = 0.01  # Least extent of a path over its distance from the origin; others may be degrees of latitude and longitude
 
 
-def _nameless(text: Text, manner: Manner) -> Columns | None:
-    """The columns of a text without names, where only one reading fits."""
-    stated = only_reading(text.fields)
-    return header_names(text, replace(manner, columns=stated)) if stated else None
-
-
 def only_reading(fields: Sequence[Sequence[str]]) -> dict[str, str]:
-    """Number of each role of the only path that two to four columns of numbers allow, or none: headings follow the
-    motion, stamps ascend evenly, places are not all alike.
+    """Number of each role of the only path that columns of numbers allow, or none: of two to four columns headings
+    follow the motion, stamps ascend evenly, places are not all alike; of latitudes and longitudes digits and extent
+    tell, of more columns four that are unit quaternions behind a place.
     """
     width = len(fields[0])
-    if width not in GUESSED or not all(len(f) == width and all(map(is_number, f)) for f in fields):
+    if not all(len(f) == width and all(map(is_number, f)) for f in fields):
         return {}
     rows, fine = np.array(fields, float), []
-    for roles in GUESSED[width]:
+    earth = _on_earth(fields, rows)
+    for roles in GUESSED.get(width, ()) if not earth else ():
         column = dict(zip(roles, rows.T, strict=True))
         step, dt = np.diff([column["x"], column["y"]]), np.diff(column.get("t", rows[:, 0]))
         way, angle = np.hypot(*step), column.get("yaw", rows[:, 0])[1:]
@@ -512,6 +539,7 @@ def only_reading(fields: Sequence[Sequence[str]]) -> dict[str, str]:
         near = np.ptp(place, axis=1).max() > FEW * place.max()
         if near and ("yaw" not in roles or max(off) > ALONG * way.sum()) and ("t" not in roles or even):
             fine.append(roles)
+    fine = fine or [roles for roles in (earth, _turned(rows)) if roles]
     return {role: str(k + 1) for k, role in enumerate(fine[0])} if len(fine) == 1 else {}
 
 
@@ -521,9 +549,49 @@ def topics_of(name: str) -> list[str]:
     return topics_in(lines.read_text(Path(name)).fields[0]) if fine else []
 
 
+DIGITS_OF_DEGREES, EXTENT = 6, (20.0, 2e5)
+"""Least usual decimals of latitudes and longitudes, 0.1 m, and their extent [m]: of less it may stand."""
+
+
+def _on_earth(fields: Sequence[Sequence[str]], rows: Array) -> tuple[str, ...]:
+    """Roles of columns t, latitude, longitude, height, with or without the first and last; none where they are not."""
+    for k in (0, 1):
+        if not 2 <= len(rows.T) - k <= 3 or (k and not (np.diff(rows[:, 0]) >= 0.0).all()):
+            continue
+        place = rows[:, k : k + 2]
+        far = np.abs(place).max(axis=0)
+        wide = math.radians(6371e3 * float(np.hypot(*np.ptp(place, axis=0))))
+        fine = np.median([len(f.partition(".")[2]) for row in fields for f in row[k : k + 2]]) >= DIGITS_OF_DEGREES
+        fine &= np.ptp(place, axis=0).max() < FEW * far.max()
+        if fine and far.min() <= 90.0 and far.max() <= 180.0 and EXTENT[0] < wide < EXTENT[1]:
+            return (*("t",) * k, *(("lat", "lon") if far[0] <= 90.0 else ("lon", "lat")), "alt")[: len(rows.T)]
+    return ()
+
+
+def _turned(rows: Array) -> tuple[str, ...]:
+    """Roles of columns of a place and a unit quaternion, with or without a stamp, maybe with more behind; else none."""
+    stamps = len(rows) > 1 and bool((np.diff(rows[:, 0]) > 0.0).all())
+    found = []
+    for roles in (POSE, (*POSE[:3], *POSE[4:])) if stamps else (POSE[1:],):
+        q = rows[:, roles.index("qx") : len(roles)]
+        unit = len(rows.T) >= len(roles) and (np.abs(np.linalg.norm(q, axis=1) - 1.0) < UNIT).all()
+        found += [roles] * bool(unit and np.ptp(q, axis=0).any())
+    return found[0] if len(found) == 1 else ()
+
+
+def likely(fields: Sequence[Sequence[str]]) -> dict[str, str]:
+    """Number of each role that columns may have, as an example of a flag: a stamp where the first one ascends."""
+    rows = [tuple(map(float, row[:4])) for row in fields if len(row) > 2 and all(map(is_number, row[:4]))]
+    k = int(len(rows) > 1 and all(a[0] < b[0] for a, b in pairwise(rows)))
+    degrees = k > 0 and all(abs(row[1]) <= 90.0 and abs(row[2]) <= 180.0 for row in rows)
+    far = degrees and np.ptp([row[1:3] for row in rows], axis=0).max() < FEW * max(abs(row[2]) for row in rows)
+    return {"t": "1"} | ({"lat": "2", "lon": "3"} if far else {"x": "2", "y": "3"}) if k else {"x": "1", "y": "2"}
+
+
 def holds_both(name: str) -> bool:
     """Whether the rows of a file name a true position, too."""
     if is_bag(Path(name)) or not Path(name).is_file() or sum(t.startswith("/") for t in topics_of(name)) > 1:
         return False
     found = [header_names(lines.read_text(Path(name)), Manner(true=side)) for side in (False, True)]
-    return found[0] is not None and found[1] is not None and found[0].place.get("x") != found[1].place.get("x")
+    x, true = (None if columns is None else columns.place.get("lat", columns.place.get("x")) for columns in found)
+    return None not in found and x != true

@@ -18,10 +18,11 @@ import numpy as np
 from data.columns.named import LENGTH, unused
 from data.csv_table import Table, cut_off, ends_early, is_number
 from data.dates import EXAMPLE, ISO, is_date, seconds_of
-from data.earth import east_north
+from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import columns_of, is_arrays
 from data.formats.messages import (
+    cut_end,
     file_and_word,
     kinds_of,
     numbered_rows,
@@ -49,7 +50,7 @@ class TextTable:
     """Rows of stripped fields without quotes, of equal length, and the line (K,) of each in the file.
 
     `names`: of the columns; "1", "2", ... without a header. `named`: whether the file has one. `decimal_comma`: numbers
-    are written 1,5. `short`: rows that ended before the header, whose last fields are blank.
+    are written 1,5.
     """
 
     path: Path
@@ -58,7 +59,7 @@ class TextTable:
     line: IntArray
     named: bool
     decimal_comma: bool = False
-    short: int = 0
+    cut: str = ""  # what is said of rows that are left out, or end before the header
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -190,9 +191,13 @@ def read_text(path: Path) -> TextTable:
     if all(len(r) > 1 and not r[-1] for r in rows) and (names is None or len(names) < len(rows[0]) or not names[-1]):
         rows = [row[:-1] for row in rows]  # a separator ends every line
         names = names[:-1] if names and not names[-1] else names
+    if cut := cut_end(rows, int(number[-1])):
+        rows, number = rows[:-1], number[:-1]
     width = len(rows[0]) if names is None else len(names)
     early = ends_early(map(len, rows), width, 1) if names is not None and separator != " " else set()
-    short = sum(len(row) in early for row in rows)
+    if early:
+        many = f"{sum(len(row) in early for row in rows)} of {len(rows)}"
+        cut = f"{cut}; " * bool(cut) + f"{many} rows end before the header does: their last columns are blank"
     rows = [row + ("",) * (width - len(row)) if len(row) in early else row for row in rows]
     for row, line in zip(rows, number.tolist(), strict=True):
         if len(row) != width:
@@ -210,7 +215,7 @@ def read_text(path: Path) -> TextTable:
         j = next((shown.index(n) for n in (f"{stem}.nsecs", f"{stem}.nanosec") if n in shown), None)
         if last in ("secs", "sec") and j is not None and all(r[j].isdecimal() for r in rows):
             rows, shown[k] = [(*r[:k], f"{r[k]}.{int(r[j]):09d}", *r[k + 1 :]) for r in rows], stem
-    return TextTable(path, tuple(shown), tuple(rows), number, names is not None, comma, short)
+    return TextTable(path, tuple(shown), tuple(rows), number, names is not None, comma, cut)
 
 
 def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
@@ -533,18 +538,6 @@ class Columns:
             if names:
                 self.notes.append(f"{file.path.name}: {unused(names, free)}")
 
-    def _on_plane(self, lat: Array, lon: Array, file: TextTable) -> dict[str, Array]:
-        """Metres east (K,) and north of the datum."""
-        fine = np.isfinite(lat) & np.isfinite(lon)
-        if not ((np.abs(lat[fine]) <= 90.0) & (np.abs(lon[fine]) <= 360.0)).all():
-            raise DataError.at(file.path, "latitudes beyond 90 or longitudes beyond 360; degrees are needed")
-        if not self.datum and fine.any():
-            self.datum += [float(lat[fine][0]), float(lon[fine][0])]
-            at = ", ".join(f"{v:.9g}" for v in self.datum)
-            self.notes.append(f"x and y are metres east and north of latitude and longitude {at} deg")
-        place = np.stack([lat, lon, 0.0 * lat], axis=-1)
-        return dict(zip("xy", east_north(place, np.array([*self.datum, 0.0])).T, strict=True)) if self.datum else {}
-
     def table(
         self, file: TextTable, role: str, quantities: Sequence[str], *, optional: Sequence[str] = (),
         texts: Sequence[str] = (), may_be_blank: Collection[str] = (),
@@ -563,8 +556,6 @@ class Columns:
         for q in quantities:
             if q != "t":
                 empty &= np.array([row[columns[q]].lower() in ("", "nan") for row in file.rows], bool)
-        if file.short and (said := f"{file.short} rows end before the header does: their last columns are blank"):
-            self.notes += [f"{file.path.name}: {said}"] * (f"{file.path.name}: {said}" not in self.notes)
         if role == "truth" and 2 * empty.sum() > len(file):  # rows of several topics
             some = f"{int(empty.sum())} of {len(file)} rows have no true pose: it is interpolated between the others"
             self.notes.append(f"{file.path.name}: {some}")
@@ -595,7 +586,11 @@ class Columns:
                 if q in ("range", "bearing"):
                     self.notes.append(f"{file.path.name}: {q} is {said}: was nothing measured there? Leave them out")
         if earth:
-            values |= self._on_plane(values["y"], values["x"], file)
+            place = np.stack([values["y"], values["x"], 0.0 * values["x"]], axis=-1)
+            metres, datum, said = on_plane(file.path, place, self.datum)
+            values |= {"x": metres[:, 0], "y": metres[:, 1]}
+            self.datum[:] = datum[:2]
+            self.notes += [said] * bool(said)
         if role in self.offsets:
             if not any(q in values for q in STAMPS):
                 given = f"--time-offset {role}={self.offsets[role]:g}"

@@ -258,10 +258,12 @@ def _between(wanted: Wanted) -> bool:
         columns.read |= {(file.path, c) for c in ends}
         first, last = (file.numbers(c, np.ones(len(file), bool), stamps=False) for c in ends)
         return bool((last == first + 1.0).all() and (np.diff(first) == 1.0).all())
-    true = texts.get("truth", file)
+    places = [(file, columns.find(file, "odometry", "dx"))]
+    places += [(t, columns.find(t, "truth", "x")) for t in [texts.get("truth")] if t is not None]
+    steps, *true = (sum(row[c or 0] != "" for row in of.rows) for of, c in places)
     frames = [of.numbers(c, np.ones(len(of), bool), stamps=False).max(initial=0.0) for role, of in texts.items()
               if of is not file and (c := columns.find(of, role, "frame")) is not None]  # fmt: skip
-    return (true is not file and len(true) == len(file) + 1) or max(frames, default=0.0) == len(file)
+    return true == [steps + 1] or max(frames, default=0.0) == steps
 
 
 def read_log(name: str, wanted: Wanted) -> Recording:
@@ -573,26 +575,32 @@ def _onto_fixes(fixes: Fixes, moved: Array) -> tuple[Array, float] | None:
 
 
 def _counter_clockwise(fixes: Fixes, moved: Array, wanted: Wanted) -> Fixes:
-    """With headings counter-clockwise from east, where the odometry's increments (N, 3) turn the other way round: those
-    of a compass, if the places say that they count from north.
+    """With headings counter-clockwise from east in rad, where the odometry's increments (N, 3) turn so only if they are
+    clockwise or in degrees: those of a compass, if the places say that they count from north.
     """
     rows = np.flatnonzero(fixes.kind != FixKind.POSITION)
-    turned = se2.dead_reckoned(np.zeros(3), moved)[fixes.frame[rows], 2]
-    with_it, against = (np.exp(1j * (turned - s * fixes.z[rows, 2])) for s in (1.0, -1.0))
-    stated = {"theta", "fixes.theta"} & set(wanted.columns.units.given) or wanted.fix_rotation
-    if stated or len(rows) < MANY or abs(with_it.mean()) > ODD or abs(against.mean()) < CONCENTRATED:
+    stated = {"theta", "angle", "fixes.theta"} & set(wanted.columns.units.given) or wanted.fix_rotation
+    if stated or len(rows) < MANY:
         return fixes
-    start = _onto_fixes(fixes, moved)
-    quarters = 0.0 if start is None else round(float(np.angle(against.mean()) + start[0][2]) / (0.5 * np.pi)) % 4
+    turned = se2.dead_reckoned(np.zeros(3), moved)[fixes.frame[rows], 2]
+    mean = {unit: complex(np.exp(1j * (turned - unit * fixes.z[rows, 2])).mean()) for unit in (1.0, *TURNED)}
+    fit = [unit for unit in TURNED if abs(mean[unit]) > CONCENTRATED]
+    start = None if abs(mean[1.0]) > ODD or len(fit) != 1 else _onto_fixes(fixes, moved)
+    if start is None:
+        return fixes
+    quarters = float(np.angle(mean[fit[0]]) + start[0][2]) / (0.5 * np.pi)
+    if abs(quarters - round(quarters)) * 0.5 * np.pi > 2.0 * LOOSE:
+        return fixes
     z = fixes.z.copy()
-    z[rows, 2] = se2.wrap_angle(0.5 * np.pi * quarters - z[rows, 2])
-    since = f" from {('east', 'north', 'west', 'south')[int(quarters)]}" if start is not None else ""
+    z[rows, 2] = se2.wrap_angle(0.5 * np.pi * round(quarters) + fit[0] * z[rows, 2])
+    since = ("east", "north", "west", "south")[round(quarters) % 4]
     wanted.columns.origins["units"] = Origin.INFERRED
-    text = f"inferred: headings of fixes count clockwise{since}, as the odometry turns against them"
+    text = f"inferred: headings of fixes are {TURNED[fit[0]]} from {since}, as the odometry turns so only"
     wanted.columns.notes.append(f"{text} (--unit fixes.theta=rad reads them as written)")
     return replace(fixes, z=z)
 
 
+TURNED = {-1.0: "clockwise", math.radians(1.0): "in degrees", -math.radians(1.0): "in degrees clockwise"}
 CONCENTRATED, ODD = 0.9, 0.5  # Length of the mean unit vector of angles that agree, at least, and of others, at most
 
 

@@ -201,7 +201,7 @@ def read_odometry(
         pose[:, 2] = se2.wrap_angle(pose[:, 2])
     elif kind == "steps":
         steps = np.stack([values.get(q, 0.0 * values["dx"]) for q in KINDS["steps"]], axis=-1)
-        if between and not np.isnan(instants).any():
+        if between and not np.isnan(instants[: len(time)]).any():
             steps = np.concatenate([np.zeros((1, 3)), steps])
             time = instants = np.append(time, time[-1] + (columns.period or 1.0))
             notes.append(f"{file.path.name}: its {len(values['dx'])} steps are between {len(time)} poses")

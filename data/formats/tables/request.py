@@ -336,6 +336,7 @@ def settle(given: Given) -> Wanted:
     # a file with several roles is read once
     read = {path: table_files.read_text(path) for path in dict.fromkeys(files.values())}
     texts = {role: read[path] for role, path in files.items()}
+    columns.notes += [f"{path.name}: {table.cut}" for path, table in read.items() if table.cut]
     for role in (OBSERVATIONS, *several):
         stated = {q: named.get(f"{role}.{q}", named.get(q, "")) for q in (*STARRED, *IDS)}
         stars = {q: n for q, n in stated.items() if "*" in n}

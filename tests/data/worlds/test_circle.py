@@ -20,7 +20,6 @@ SENSORS_JOURNAL = Circle(
 
 
 def seen(log: Log) -> set[tuple[int, int]]:
-    """(frame, id) of every reading."""
     return set(zip(log.recorded.observations.frame.tolist(), log.truth.landmark_of.tolist()))
 
 

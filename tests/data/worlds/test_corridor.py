@@ -22,7 +22,6 @@ ABREAST = 1e-9
 
 @pytest.fixture(scope="module")
 def recorded(shared_data: Path) -> dict[tuple[bool, bool], Log]:
-    """The recorded logs by people and odometry."""
     place = shared_data / "lab_corridor"
     if not place.is_dir():
         pytest.skip("no recorded corridor logs")
@@ -89,7 +88,6 @@ ALL_ROUND = {"range": 1000.0, "min_angle": -math.pi, "max_angle": math.pi}
 
 
 def points_seen(log: Log) -> set[tuple[int, int]]:
-    """(frame, id) of every reading of a point."""
     ids = log.truth.landmark_of
     assert ids is not None
     return {(f, i) for f, i in zip(log.recorded.observations.frame.tolist(), ids.tolist()) if i != CLUTTER}
@@ -115,7 +113,6 @@ def measured_polar(log: Log) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def logs() -> list[Log]:
-    """Ten laps with each of four seeds."""
     return [simulate(Corridor(frames=440), seed) for seed in range(4)]
 
 
@@ -209,7 +206,6 @@ class TestPeople:
 class TestStreams:
     @staticmethod
     def points(log: Log) -> dict[tuple[int, int], tuple[float, float]]:
-        """Reading of each (frame, id)."""
         ids, o = log.truth.landmark_of, log.recorded.observations
         return {(f, i): tuple(z) for f, i, z in zip(o.frame.tolist(), ids.tolist(), o.z.tolist()) if i != CLUTTER}
 

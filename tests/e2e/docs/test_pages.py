@@ -196,7 +196,6 @@ COMMANDS = [
 
 
 def defined(file: str) -> set[str]:
-    """Functions and classes of a module, methods as `Class.method`."""
     found = set()
     for node in ast.parse((ROOT / file).read_text(encoding="utf-8")).body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef):

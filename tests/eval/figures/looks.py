@@ -35,7 +35,6 @@ def lab(colour, seen):
 
 
 def within(box, paper) -> bool:
-    """Whether a box lies on the paper, to a pixel."""
     return bool(np.all(box.min >= paper.min - 1.0) and np.all(box.max <= paper.max + 1.0))
 
 

@@ -239,7 +239,6 @@ DOF = {"pose": 3, "position": 2, "heading": 1, "landmarks": 2, "nis": 1}
 
 
 def study(factors: dict[str, float], runs: int = 60, failed: int = 0, whiteness: float = 0.0, uneven: bool = False):
-    """Runs whose means are chi-square times a factor of each quantity."""
     rng = np.random.default_rng(0)
     results = []
     for k in range(runs):

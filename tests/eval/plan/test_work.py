@@ -95,8 +95,6 @@ def test_where_nobody_can_do_without_it_is_an_error_of_one_line():
 
 @pytest.fixture
 def isam2_needs_more(monkeypatch):
-    """Every job with iSAM2 has not enough memory."""
-
     def hungry(experiment, part, watched=False):
         if "isam2" in part.estimators:
             raise MemoryError("Unable to allocate 9.2 GiB")

@@ -184,7 +184,6 @@ PER_FRAME = 3
 
 
 def observing(*, known_map=True):
-    """All frames see landmark 3 three times."""
     log = circle_log(known_map=known_map)
     r = log.recorded
     frame = np.repeat(np.arange(FRAMES), PER_FRAME)

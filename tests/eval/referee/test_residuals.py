@@ -170,7 +170,6 @@ def test_a_current_moves_the_robot_in_the_world_and_odometry_does_not_see_it(wor
 
 @pytest.fixture(scope="module")
 def usual():
-    """A sound log in a known map."""
     return open_log("arena:5")
 
 
@@ -181,7 +180,6 @@ def evidence(log):
 
 
 def with_noise(log, noise):
-    """The log with more noise (M, 2) on its observations, in stated sigmas."""
     o = log.recorded.observations
     sigma = np.sqrt(np.einsum("mii->mi", o.R))
     return replace(log, recorded=replace(log.recorded, observations=replace(o, z=o.z + sigma * noise)))

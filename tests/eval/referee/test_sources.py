@@ -124,7 +124,6 @@ def test_a_source_with_outliers_is_rejected_and_one_that_cannot_be_used_is_unuse
 
 
 def nothing_seen(**sources):
-    """A log without observations, and a run on it."""
     log = log_with(**sources)
     o = log.recorded.observations
     none = replace(o, frame=o.frame[:0], z=o.z[:0], R=o.R[:0])

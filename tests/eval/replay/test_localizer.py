@@ -27,7 +27,6 @@ STRANGE = np.array([[-9.0, 6.0], [8.0, -7.0], [-11.0, -2.0], [10.0, 9.0], [1.0, 
 
 
 def body(pose, places=PLACES):
-    """Exact readings of the places from a pose."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     return (places - np.array(pose[:2])) @ np.array([[c, -s], [s, c]])
 

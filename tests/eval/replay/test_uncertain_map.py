@@ -35,7 +35,6 @@ def as_exact(log):
 
 
 def last_nees(run, log):
-    """NEES of the last pose."""
     assert run.failure is None
     t = run.trajectory(run.phases[-1])
     return float(nees(t.pose, t.covariance, log.truth.pose, "pose")[-1])
@@ -48,7 +47,6 @@ def bounds(runs):
 
 
 def means(logs, names, association):
-    """Mean over logs of the last pose's NEES by estimator."""
     total = dict.fromkeys(names, 0.0)
     for log in logs:
         for run in compare(log.inputs(labels=association == "known"), "localization", names, association):

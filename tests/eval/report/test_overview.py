@@ -280,7 +280,6 @@ def test_copies_of_dead_reckoning_are_not_equally_good_estimates(tmp_path):
 
 
 def judged(log: Log) -> tuple[Judgement, Trial]:
-    """Localization with sensed labels, which are gated."""
     runs = compare(log.inputs(labels=True), "localization", ("ekf", "batch"), "known", Setup().settled(sensed=True))
     trial = Trial(log, "localization", tuple(runs))
     return judge(trial), trial

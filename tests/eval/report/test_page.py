@@ -52,8 +52,6 @@ VOID = {"meta", "img", "br", "hr", "link"}
 
 
 class Page(HTMLParser):
-    """Tags with their attributes, text, and whether every tag is closed where it should be."""
-
     def __init__(self, text: str) -> None:
         super().__init__()
         self.tags: list[tuple[str, dict]] = []

@@ -48,7 +48,6 @@ def test_an_estimator_is_off_if_its_innovations_on_twins_are_larger_than_it_clai
 
 @pytest.fixture(scope="module")
 def arena():
-    """A short log, and the samples of its twins."""
     log = named_log("arena:4:frames=60")
     inputs = inputs_of(log, "slam", "known")
     smoother = smoother_of(compare(inputs, "slam", ("ekf", "batch"), "known"), inputs)

@@ -18,8 +18,6 @@ an EKF's linearization the largest error, which no noise accounts for."""
 
 @dataclass(frozen=True)
 class Stamped:
-    """What is true of a log."""
-
     latency: float = 0.0  # s that the stamps of the readings are late
     stated: tuple[float, float] = (1.0, 1.0)  # sigmas of motion and sensor in log.toml over the true ones
     bias: tuple[float, float] = (0.0, 0.0)  # measured minus true range [m] and bearing [rad]

@@ -22,7 +22,6 @@ from tests.eval.tuning.stamped import Stamped, stamped_folder
 
 
 def fitted(folder, groups=("motion", "sensor", "bias", "odometry", "latency")):
-    """The fit by name: (value, standard error) of every parameter."""
     inputs = load_folder(folder).inputs(labels=True)
     model = make_model(inputs, read_odometry(folder), groups)
     found = fit(model, pairings(inputs))

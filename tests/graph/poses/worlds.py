@@ -48,7 +48,6 @@ class World(NamedTuple):
         )
 
     def optimum(self, start, covariance=EXACT, loss="gaussian"):
-        """The optimum of all constraints from poses `start` (K, 3)."""
         return smooth(self.inputs(covariance), NONE, NONE, Start(start, np.zeros((0, 2))), loss=loss)
 
     def graduated(self, start, covariance=EXACT):
@@ -59,7 +58,6 @@ class World(NamedTuple):
         return found, used
 
     def of(self, key):
-        """The loops that come with a key pose, as `add_loops` takes them."""
         rows = self.key2 == key
         return self.key1[rows], self.key2[rows], self.relative[rows], self.loop_covariance[rows]
 

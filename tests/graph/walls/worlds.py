@@ -78,7 +78,6 @@ def in_order(inputs, created):
 
 
 def solved(inputs, truth, loss="gaussian"):
-    """The batch solution from the truth on, and the decisions."""
     decisions, created = known_decisions(inputs)
     walls = in_order(inputs, created) if inputs.map is None else np.empty((0, 2))
     return smooth(inputs, decisions, created, Start(truth, walls), loss=loss), (decisions, created, walls)

@@ -149,7 +149,6 @@ def kind_of(row: Row) -> str:
 
 
 def report(rows: Sequence[Row]) -> str:
-    """The tables: size on sound logs, what is named for each fault, and the first names."""
     heads: Sequence[str] = ("task", "rejected", "a cause is named", "which")
     lines: list[list[object]] = []
     for task in ("localization", "slam", "both"):

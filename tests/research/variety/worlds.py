@@ -147,7 +147,6 @@ def _park(rng: np.random.Generator, large: bool) -> dict[str, object]:
 
 
 def _corridor(rng: np.random.Generator, large: bool) -> dict[str, object]:
-    """One to five laps (ten of a large one), in a third of the worlds among people, who are clutter enough."""
     size, turn = _log(rng, 0.5, 2.0), math.radians(_log(rng, 1.0, 3.0))
     return {
         "frames": 440 if large else round(_log(rng, 44.0, 220.0)), "people": bool(rng.random() < 1 / 3),

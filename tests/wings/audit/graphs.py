@@ -9,7 +9,6 @@ CAMERA = gtsam.Cal3_S2(400.0, 400.0, 0.0, 320.0, 240.0)
 
 
 def noise(rng, dim, robust=True):
-    """A noise model: isotropic, diagonal, full, or robust."""
     sigmas = rng.uniform(0.05, 0.5, dim)
     kind = rng.integers(4 if robust else 3)
     if kind == 0:
@@ -24,7 +23,6 @@ def noise(rng, dim, robust=True):
 
 
 def custom(rng, a, b):
-    """A difference of headings, as a callback."""
     z = float(rng.normal(0.0, 0.1))
 
     def error(this, values, H):
@@ -99,7 +97,6 @@ def spatial(seed, poses=4, points=5):
 
 
 def inertial(seed, poses=5):
-    """An inertial graph: factors of five variables."""
     rng = np.random.default_rng(seed)
     params = gtsam.PreintegrationParams.MakeSharedU(9.81)
     params.setAccelerometerCovariance(1e-2 * np.eye(3))

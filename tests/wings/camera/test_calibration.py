@@ -25,7 +25,6 @@ from wings.camera.gallery import Gallery, gallery, in_camera, in_view, projectio
 
 
 def true_camera(g: Gallery) -> Array:
-    """K (3,) of the rendered camera."""
     return np.array([g.focal, 0.5 * (g.image_width - 1), 0.5 * (g.image_height - 1)])
 
 

@@ -27,8 +27,6 @@ from tests.wings.camera.wall import (
 )
 from wings.camera.detector import FEW_INLIERS, NOT_SEEN, SAME_PLACE, UNCERTAIN, Detector
 
-# --- what is found ----------------------------------------------------------------------------------------------------
-
 
 @pytest.mark.slow
 def test_every_picture_is_found_with_its_own_name_and_corners_within_a_pixel(textures, detector):
@@ -133,9 +131,6 @@ def test_frames_looked_at_together_come_in_order_with_what_each_alone_gives(text
         np.testing.assert_array_equal(together.detections[0].points, alone.detections[0].points)
 
 
-# --- bad input and counting -------------------------------------------------------------------------------------------
-
-
 def test_a_blank_reference_is_an_error_that_names_it(textures):
     blank = np.full((300, 400, 3), 200, np.uint8)
     with pytest.raises(DataError, match="reference image 2 of 2: 0 features"):
@@ -153,9 +148,6 @@ def test_input_of_the_wrong_kind_is_an_error(textures, detector):
         detector.detect(np.zeros((HEIGHT, WIDTH), np.uint8))
     with pytest.raises(DataError, match="do not fit the image"):
         detector.detect(wall().rgb, wall().xyz[::2])
-
-
-# --- photographs ------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -307,9 +299,6 @@ def test_a_picture_of_the_right_width_and_the_wrong_height_is_refused():
     assert checks.size_fault(sheared, PICTURE, 0.75) == checks.WRONG_SIZE
 
 
-# --- shape ------------------------------------------------------------------------------------------------------------
-
-
 SIZE = (400, 500)
 
 
@@ -339,9 +328,6 @@ def test_overlap_is_the_share_of_the_smaller_one():
     assert checks.overlap(square, square + [5.0, 0.0]) == pytest.approx(0.5)
     assert checks.overlap(square, 0.5 * square + 1.0) == pytest.approx(1.0)
     assert checks.overlap(square, square + [20.0, 0.0]) == 0.0
-
-
-# --- geometry ---------------------------------------------------------------------------------------------------------
 
 
 def test_the_camera_is_read_off_its_stereo_points():

@@ -20,7 +20,6 @@ RISING = np.outer(np.linspace(0.0, 1.0, FRAMES), [0.6, 0.8, 0.0])
 
 @pytest.fixture
 def saved(monkeypatch):
-    """Figures by their file's name, as they are to be saved."""
     found = {}
     monkeypatch.setattr(visual, "save_for_page", lambda draw, folder, stem: found.update({stem: draw()}))
     return found

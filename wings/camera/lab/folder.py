@@ -108,9 +108,6 @@ def size_of(value: NDArray[Any]) -> str:
     return "x".join(map(str, value.shape)) or "1"
 
 
-# --- objects ----------------------------------------------------------------------------------------------------------
-
-
 def unwrapped(value: object) -> object:
     """The content of an array of one object or record, however deep; a record becomes a dict."""
     while isinstance(value, np.ndarray) and value.size == 1 and (value.dtype.hasobject or value.dtype.names):
@@ -190,9 +187,6 @@ def _one_length(path: Path, lengths: Mapping[str, int]) -> int:
         counts = ", ".join(f"{name} {n}" for name, n in lengths.items())
         raise DataError.at(path, f"rows: {counts}; as many rows as frames are needed in each")
     return next(iter(lengths.values()), 0)
-
-
-# --- arrays -----------------------------------------------------------------------------------------------------------
 
 
 @contextmanager

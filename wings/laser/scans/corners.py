@@ -110,15 +110,13 @@ def _vertices(p: Array, ranges: Array, step: float, tolerance: float, first: int
 
 
 class _Line(NamedTuple):
-    """A line: normal (2,), weighted centroid (2,) [m], variances of its angle and of its offset there, which are
-    independent, and the number of the point nearest to the corner.
-    """
+    """A straight line."""
 
-    normal: Array
-    centroid: Array
-    angle: float
-    offset: float
-    near: int
+    normal: Array  # (2,)
+    centroid: Array  # (2,) m, weighted
+    angle: float  # its variance
+    offset: float  # variance of the offset at the centroid, independent of the angle
+    near: int  # number of the point nearest to the corner
 
 
 def _line(p: Array, direction: Array, outer: int, middle: int, c: Array, sigma: float) -> _Line | None:

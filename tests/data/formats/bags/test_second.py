@@ -21,7 +21,6 @@ def maker() -> Full:
 
 @pytest.fixture
 def bag(convert, tmp_path):
-    """`bag(maker, *words)`: what `convert` gives."""
     words = ("out", "--point-sigma", "0.1", "--odom", "/odom")
     return lambda maker, *more, **status: convert({}, "bag", maker.save(tmp_path), *words, *more, **status)
 

@@ -37,7 +37,6 @@ AT = {"frames": ("frame", ("0", "1", "3")), "odometry": ("t", ("10.25", "10.75",
 
 
 def measured_files(source: str, sensor: str = "range_bearing") -> Files:
-    """A folder of `small_files` with fixes and closures; source `frames` or `odometry`."""
     key, at = AT[source]
     files = small_files(source, sensor)
     files["log.toml"] = files["log.toml"].replace("format = 1", "format = 2") + FIX + CLOSURE

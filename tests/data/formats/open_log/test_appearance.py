@@ -13,6 +13,7 @@ from data.questions.summary import summarize
 from data.worlds.registry import named_log
 from eval.plan.provenance import input_digest
 from tests.data.formats.open_log.same_log import assert_same_log
+from tests.data.formats.open_log.test_faults import refused
 
 HEADER = """format = 2
 name = "small"
@@ -63,23 +64,22 @@ def test_it_comes_back_and_counts_in_the_digest(save, tmp_path):
 
 
 @pytest.mark.parametrize(("file", "old", "new", "message"), [
-    ("log.toml", "= 0.05", "= 0", r"log.toml: \[sensor\] descriptor_sigma = 0: a number > 0 is needed"),
+    ("log.toml", "= 0.05", "= 0", r"\[sensor\] descriptor_sigma = 0: a number > 0 is needed"),
     ("log.toml", "format = 2", "format = 1", r"\[sensor\] descriptor_sigma = 0.05: format = 2 is needed"),
-    ("log.toml", "class_error = 0.1", "", "csv:2: column class: a value, but no class_error here or in"),
-    ("observations.csv", ",0.31,", ",x,", "csv:2: column descriptor: 'x' is not a number"),
-    ("observations.csv", ",0.31,", ",inf,", "csv:2: column descriptor: inf is not a number between"),
-    ("observations.csv", ",0.2\n", ",0.7\n", "csv:3: column class_error: 0.7 is no probability above 0"),
-    ("observations.csv", ",oak,", ',"oak",', "csv:2: column class: '\"oak\"' holds a quote; a plain name"),
-    ("landmarks.csv", ",0.4,", ",1e99,", "csv:3: column descriptor: 1e"),
-    ("landmarks.csv", ",ash", ',a"', "csv:3: column class: 'a\"' holds a quote"),
+    ("observations.csv", ",0.31,", ",x,", "2: column descriptor: 'x' is not a number"),
+    ("observations.csv", ",0.31,", ",inf,", "2: column descriptor: inf is not a number between"),
+    ("observations.csv", ",0.2\n", ",0.7\n", "3: column class_error: 0.7 is no probability above 0"),
+    ("observations.csv", ",oak,", ',"oak",', "2: column class: '\"oak\"' holds a quote; a plain name"),
+    ("landmarks.csv", ",0.4,", ",1e99,", "3: column descriptor: 1e"),
+    ("landmarks.csv", ",ash", ',a"', "3: column class: 'a\"' holds a quote"),
 ])  # fmt: skip
 def test_bad_appearance_is_named_in_a_line(save, tmp_path, file, old, new, message):
-    files = files_of()
-    assert old in files[file]
-    files[file] = files[file].replace(old, new, 1)
-    with pytest.raises(DataError, match=message) as error:
-        load_folder(save(tmp_path, files))
-    assert "\n" not in str(error.value)
+    refused(save, tmp_path, files_of(), old, new, message, file)
+
+
+def test_a_class_needs_its_error(save, tmp_path):
+    with pytest.raises(DataError, match="csv:2: column class: a value, but no class_error here or in"):
+        load_folder(save(tmp_path, files_of(HEADER.replace("class_error = 0.1\n", ""))))
 
 
 def test_the_summary_tells_the_noise_that_labels_show():

@@ -103,11 +103,12 @@ def test_a_compass_and_dates(convert):
     circle = np.column_stack([4.0 * np.sin(turn), 4.0 - 4.0 * np.cos(turn), wrap_angle(turn)])
     dates = [f"2024-05-01 12:00:{t:09.6f}" for t in T]
     files = {"o.csv": "\n".join(["time,v,omega", *(f"{d},1,0.25" for d in dates)])}
-    for east, since in ((0.0, "east"), (0.5 * np.pi, "north")):
-        rows = (f"{d},{wrap_angle(east - h)},{x},{y}" for d, (x, y, h) in zip(dates, circle, strict=True))
+    north = (0.5 * np.pi, np.rad2deg(1.0), "in degrees clockwise from north")
+    for east, unit, since in ((0.0, 1.0, "clockwise from east"), north):
+        rows = (f"{d},{unit * wrap_angle(east - h)},{x},{y}" for d, (x, y, h) in zip(dates, circle, strict=True))
         files["gps.csv"] = "\n".join(["time,heading,x,y", *rows])
         log, said = convert(files, "table", "o.csv", "out", "--fixes", "gps.csv", "--fix-sigma", "0.5,0.5,2deg")
-        assert f"inferred: headings of fixes count clockwise from {since}" in said
+        assert f"inferred: headings of fixes are {since}" in said
         assert log.recorded.prior.mean == pytest.approx([0.0, 0.0, 0.0], abs=0.01)
         np.testing.assert_allclose(log.recorded.fixes.z[:, 2], circle[log.recorded.fixes.frame, 2], atol=0.03)
 

@@ -31,7 +31,6 @@ OWN = {"slam": things.Mine, "localization": things.MineLocal}
 
 
 def same(a, b):
-    """Whether two runs are the same to the bit, names, notes and time aside."""
     aside = {"estimator": "", "association": "", "seconds": 0.0, "notes": ()}
     assert_same_log(dataclasses.replace(a, **aside), dataclasses.replace(b, **aside))
 

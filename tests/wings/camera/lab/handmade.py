@@ -31,7 +31,6 @@ def configuration() -> Config:
 
 
 def log_arrays() -> dict[str, np.ndarray]:
-    """Columns of a log in the file's units."""
     rng = np.random.default_rng(5)
     xyz = rng.uniform(500, 4000, (FRAMES, H, W, 3)).astype(np.float32)
     xyz[:, 0, :4] = 0
@@ -45,7 +44,6 @@ def log_arrays() -> dict[str, np.ndarray]:
 
 
 def as_structs(columns: dict[str, Any]) -> np.ndarray:
-    """A log as scipy.io wants a struct array."""
     log = np.zeros((1, len(columns["timestamp"])), dtype=[(name, object) for name in columns])
     for i in range(log.size):
         for name, column in columns.items():
@@ -89,8 +87,6 @@ def lab(
 
 
 class Made:
-    """A recording in memory."""
-
     def __init__(self, *, says: int = FRAMES, prior: Prior | None = None) -> None:
         rng = np.random.default_rng(2)
         corners = rng.normal(size=(12, 4, 2))

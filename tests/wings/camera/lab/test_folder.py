@@ -24,8 +24,6 @@ from tests.wings.camera.lab.handmade import (
 )
 from wings.camera.lab.folder import is_lab, open_lab, write_lab
 
-# --- reference images -------------------------------------------------------------------------------------------------
-
 
 def test_reference_images_come_as_rgb_in_the_natural_order_of_their_names(tmp_path: Path) -> None:
     config = configuration()
@@ -51,9 +49,6 @@ def test_an_image_that_cannot_be_read_and_a_wrong_number_of_images_are_named(tmp
     (folder / "landmark" / "landmark1.png").unlink()
     (folder / "landmark").rmdir()
     refuse(folder, r"landmark: missing; a folder with one reference image per picture")
-
-
-# --- the folder -------------------------------------------------------------------------------------------------------
 
 
 def test_a_lab_folder_is_known_by_what_it_holds(tmp_path: Path) -> None:
@@ -135,9 +130,6 @@ def test_the_digest_depends_on_configuration_log_and_images_alone(tmp_path: Path
         assert recording.digest() != digest, name
         path.write_bytes(content)
     assert open_lab(folder).digest() == digest
-
-
-# --- faults of the configuration --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("part", "field", "value", "said"), [

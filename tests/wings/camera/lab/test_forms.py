@@ -24,8 +24,6 @@ from tests.wings.camera.lab.handmade import (
 )
 from wings.camera.lab.folder import is_lab, open_lab
 
-# --- forms of the log -------------------------------------------------------------------------------------------------
-
 
 def read_twice(recording: Any, columns: dict[str, Any]) -> Iterator[list[Any]]:
     """Its frames, read twice, each time with the times, commands and images of `columns`."""
@@ -117,9 +115,6 @@ def test_configuration_and_log_may_share_a_file_and_the_log_may_have_another_nam
     scipy.io.savemat(folder / "All.MAT", configuration() | {"run7": as_structs(columns), "note": "by hand"})
     frames = all_frames(open_lab(folder))
     np.testing.assert_array_equal([f.rgb for f in frames], columns["rgb"])
-
-
-# --- pickles ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", ["dicts", "list", "structs", "npz"])

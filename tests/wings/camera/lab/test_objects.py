@@ -124,11 +124,7 @@ def test_an_untrusted_pickle_beside_a_whole_recording_is_let_alone_and_makes_no_
     assert not is_lab(tmp_path / "other")
 
 
-# --- the configuration ------------------------------------------------------------------------------------------------
-
-
 def records() -> dict[str, np.ndarray]:
-    """The structs as NumPy's records."""
     made = {}
     for name, fields in configuration().items():
         values = {field: np.asarray(value, float) for field, value in fields.items()}
@@ -140,7 +136,6 @@ def records() -> dict[str, np.ndarray]:
 
 
 def nested() -> np.ndarray:
-    """One record of the three."""
     parts = records()
     whole = np.zeros((), [(name, record.dtype) for name, record in parts.items()])
     for name, record in parts.items():
@@ -149,7 +144,6 @@ def nested() -> np.ndarray:
 
 
 def alone() -> dict[str, Any]:
-    """All fields without their structs."""
     return {field: value for fields in configuration().values() for field, value in fields.items()}
 
 

@@ -14,8 +14,6 @@ from data.errors import DataError, UsageError
 from tests.wings.camera.lab.handmade import LOGS, H, W, as_dicts, configuration, lab, log_arrays, refuse
 from wings.camera.lab.folder import open_lab
 
-# --- units: each of these fails when the one conversion it names is removed -------------------------------------------
-
 
 def test_lengths_are_in_cm_and_angles_in_degrees(tmp_path: Path) -> None:
     setup = open_lab(lab(tmp_path / "lab")).setup
@@ -41,9 +39,6 @@ def test_T_is_in_the_unit_asked_for(tmp_path: Path, unit: str, metres: float) ->
     recording = open_lab(lab(tmp_path / "lab"), translation_unit=unit)
     assert recording.setup.translation == pytest.approx((3.0 * metres, -12.0 * metres))
     assert f"T in {unit}" in recording.notes[0]
-
-
-# --- the reading of R and T -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("reading", ["to-camera", "to-body"])

@@ -61,6 +61,5 @@ def averaged(recording: Rendered, frame: int, number: int) -> tuple[np.ndarray, 
 
 
 def ends(recording: Rendered) -> list[tuple[int, int]]:
-    """Frames and pictures: where each picture is first and last in view."""
     shown = [(k, number) for k in range(0, len(recording), 6) for number in visible(recording, k)]
     return [(end(k for k, n in shown if n == number), number) for number in {n for _, n in shown} for end in (min, max)]

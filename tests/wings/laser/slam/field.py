@@ -165,7 +165,6 @@ def halls(
 
 
 def through(points: list[Array], frames: int, step: float = 0.12, turn: float = 0.15) -> Array:
-    """Poses (N, 3) straight from point to point, turned in place."""
     path = [np.array([*points[0], 0.0])]
     for to in points[1:]:
         away = to - path[-1][:2]

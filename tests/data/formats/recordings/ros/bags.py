@@ -22,8 +22,6 @@ START = 1_700_000_000
 
 
 class Maker:
-    """Messages of a version of ROS, collected with topic and time, and written in their order."""
-
     def __init__(self, form: str) -> None:
         self.form, self.old = form, form == "ros1"
         self.store: Any = get_typestore(Stores.ROS1_NOETIC if self.old else Stores.ROS2_HUMBLE)
@@ -92,7 +90,6 @@ class Maker:
         self.messages.append((at, "/tf", TF, self._of(TF, [stamped])))
 
     def drive(self, times: Array) -> None:
-        """Odometry along x at 1 m/s, turning by 0.1 rad/s."""
         for t in times.tolist():
             self.odometry(t, (t, 0.0, 0.1 * t))
 
