@@ -525,7 +525,9 @@ def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) ->
     """True poses (N, 3) at the frames, NaN where unknown."""
     if true.time is None:
         if len(true.pose) != len(time):
-            wanted.columns.require(file, "truth", ("t",))
+            what = f"{len(true.pose)} true poses, {len(time)} frames: which belong together?"
+            more = "stamps t of odometry and truth, or a true pose for each row of the odometry, are needed"
+            raise DataError.at(file.path, f"{what} {more} (--columns odometry.t=NAME,truth.t=NAME)")
         return true.pose
     result = truth_at(true.time, true.pose, time)
     if outside := int(((true.time < time[0]) | (true.time > time[-1])).sum()):
