@@ -41,11 +41,7 @@ def _files(files: list[str], truths: list[str]) -> tuple[list[str], list[str]]:
     """Estimates, and the truth of each."""
     if not truths:
         if len(files) != 2:
-            from data.formats.results.reading import topics_of
-
             needed = "ESTIMATE TRUTH" if len(files) < 2 else "--truth FILE ... before the truths"
-            topics = topics_of(files[0]) if len(files) < 2 else []
-            needed += f", of its topics {', '.join(topics)} as in {files[0]}:{topics[0]}" if len(topics) > 1 else ""
             needed += "; of a table with both --columns estimate.x=NAME,truth.x=NAME,..." * (len(files) < 2)
             raise UsageError(f"{counted(len(files), 'file')} without --truth: type {needed}")
         return files[:1], files[1:]

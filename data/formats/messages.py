@@ -103,23 +103,11 @@ def _of_topic(lines: list[tuple[int, str]], topic: str) -> list[tuple[int, str]]
         return []
     below = [j for j in below if not (stamps and "stamp" in names[j])]
     rows[0] = [names[j][len(topic) + 1 :] if j in below else name for j, name in enumerate(rows[0])]
-    some = [(i, row) for (i, _), row in zip(filled, rows, strict=True) if any(j < len(row) and row[j] for j in below)]
     return [
         (i, separator.join(row[j].replace(separator, " ") for j in (*stamps, *below) if j < len(row)))
-        for i, row in some
+        for (i, _), row in zip(filled, rows, strict=True)
+        if any(j < len(row) and row[j] for j in below)
     ]
-
-
-def topic_of(name: str) -> str:
-    """The topic of the x of a position, as /odom of /odom/pose/pose/position/x; empty for any other name."""
-    found = re.fullmatch(r"(.+?)(?:[/.](?:pose|transform|position|translation|point))*[/.]x", name)
-    vector = r"(?i)linear|angular|(orientation|rotation|scale|acceleration|velocity|vel|field|magnetic)$"
-    return found[1] if found is not None and not re.search(vector, found[1]) else ""
-
-
-def topics_in(names: Sequence[str]) -> list[str]:
-    """The topics with positions of a table with topics as columns."""
-    return list(dict.fromkeys(topic for name in names if (topic := topic_of(name))))
 
 
 def kinds_of(path: Path, rows: Sequence[Sequence[str]]) -> str:

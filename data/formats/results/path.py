@@ -34,9 +34,7 @@ class Clock:
         """For the kind of a file."""
         if self.by == ROWS:
             return "without stamps"
-        if self.by == DATES:
-            return "dates as stamps"
-        how = {SIZE: " by their size", RATE: " by their rate"}.get(self.by, "")
+        how = {SIZE: " by their size", RATE: " by their rate", DATES: " from dates"}.get(self.by, "")
         return f"stamps in {self.unit}{how}"
 
 

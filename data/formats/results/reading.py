@@ -16,7 +16,7 @@ from data.csv_table import ends_early, is_number, symmetric
 from data.dates import EXAMPLE, IN_SECONDS, ISO, is_date, seconds_of
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean
-from data.formats.messages import topic_of, topics_in, whole_names
+from data.formats.messages import whole_names
 from data.formats.results import lines
 from data.formats.results import path as paths
 from data.formats.results.bags import file_and_topic, is_bag, read_bag
@@ -144,16 +144,18 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
             found.setdefault(role, []).append(j)
     true = [bool(TRUE & set(words_of(name)[0])) for name in names]
     both = any(len({true[j] for j in some}) > 1 for role, some in found.items() if role != "t")
-    unlike = [topic for topic in several if topic.startswith("/")] if "x" not in place and "x" in found else []
+    unlike = [topic for topic in several if topic.startswith("/") and "x" not in place]
+    if len(unlike) > max(1, len(found.get("x", ()))):
+        what = (
+            f"topics {', '.join(unlike)}: type which (of the estimate, and of the truth), as in {text.path}:{unlike[0]}"
+        )
+        raise DataError.at(text.path, what, line=line)
     for role, some in found.items():
         if both and (role not in ("t", "nanoseconds") or len(some) > 1):
             some = [j for j in some if true[j] == manner.true]
         if role == "t":  # not the time of recording, nor one without the digits that tell rows apart
             some = [j for j in some if len({f[j] for f in text.fields[1:] if j < len(f)}) > 1] or some
             some = [j for j in some if "stamp" in names[j].lower()][-1:] or some[:1]
-        if role == "x" and len(unlike) > len(found["x"]):
-            what = f"topics {', '.join(unlike)}; one is needed, as in {text.path}:{unlike[0]}"
-            raise DataError.at(text.path, what, line=line)
         if len(some) > 1:
             what = f"{names[some[0]]!r} and {names[some[1]]!r} both name {role}; one of them is needed"
             raise DataError.at(text.path, f"{what}, as in --columns {role}={some[0] + 1}", line=line)
@@ -164,6 +166,18 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
     if "nanoseconds" in place and "t" not in place:
         place["t"], unit["t"] = place.pop("nanoseconds"), "ns"
     return Columns(place, unit, unread, len(names), line, in_data)
+
+
+def topic_of(name: str) -> str:
+    """The topic of the x of a position, as /odom of /odom/pose/pose/position/x; empty for any other name."""
+    found = re.fullmatch(r"(.+?)(?:[/.](?:pose|transform|position|translation|point))*[/.]x", name)
+    vector = r"(?i)linear|angular|(orientation|rotation|scale|acceleration|velocity|vel|field|magnetic)$"
+    return found[1] if found is not None and not re.search(vector, found[1]) else ""
+
+
+def topics_in(names: Sequence[str]) -> list[str]:
+    """The topics with positions of a table with topics as columns."""
+    return list(dict.fromkeys(topic for name in names if (topic := topic_of(name))))
 
 
 def _roles(names: Sequence[str], topic: str) -> list[tuple[str, str]]:
@@ -543,12 +557,6 @@ def only_reading(fields: Sequence[Sequence[str]]) -> dict[str, str]:
     return {role: str(k + 1) for k, role in enumerate(fine[0])} if len(fine) == 1 else {}
 
 
-def topics_of(name: str) -> list[str]:
-    """The topics with positions of a table with topics as columns."""
-    fine = Path(name).is_file() and not is_bag(Path(name))
-    return topics_in(lines.read_text(Path(name)).fields[0]) if fine else []
-
-
 DIGITS_OF_DEGREES, EXTENT = 6, (20.0, 2e5)
 """Least usual decimals of latitudes and longitudes, 0.1 m, and their extent [m]: of less it may stand."""
 
@@ -590,7 +598,7 @@ def likely(fields: Sequence[Sequence[str]]) -> dict[str, str]:
 
 def holds_both(name: str) -> bool:
     """Whether the rows of a file name a true position, too."""
-    if is_bag(Path(name)) or not Path(name).is_file() or sum(t.startswith("/") for t in topics_of(name)) > 1:
+    if is_bag(Path(name)) or not Path(name).is_file():
         return False
     found = [header_names(lines.read_text(Path(name)), Manner(true=side)) for side in (False, True)]
     x, true = (None if columns is None else columns.place.get("lat", columns.place.get("x")) for columns in found)

@@ -21,17 +21,8 @@ from data.dates import EXAMPLE, ISO, is_date, seconds_of
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import columns_of, is_arrays
-from data.formats.messages import (
-    cut_end,
-    file_and_word,
-    kinds_of,
-    numbered_rows,
-    parts_of,
-    topics_in,
-    whole_names,
-    with_word,
-)
-from data.formats.results.reading import role_of, words_of
+from data.formats.messages import cut_end, file_and_word, kinds_of, numbered_rows, parts_of, whole_names, with_word
+from data.formats.results.reading import role_of, topics_in, words_of
 from data.inputs import IntArray
 from data.notice import Notice
 from data.origin import Origin
