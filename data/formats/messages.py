@@ -95,6 +95,22 @@ def kinds_of(path: Path, rows: Sequence[Sequence[str]]) -> str:
     return ""
 
 
+def cut_end(rows: Sequence[Sequence[str]], line: int) -> str:
+    """What is said of the last of rows, on a line, that is left out: it has too few fields, or ends within a number.
+    Empty where it is whole, or where others differ in length, too.
+    """
+    *others, last = rows
+    if len(others) < LEAST or len({len(row) for row in others[1:]}) > 1 or len(last) > len(others[-1]) or not last:
+        return ""
+    broken = last[-1] and not is_number(last[-1]) and all(is_number(row[len(last) - 1]) for row in others[1:])
+    if len(last) == len(others[-1]) and not broken:
+        return ""
+    return f"line {line}, the last one, is cut off and left out: {','.join(last)[:60]!r}"
+
+
+LEAST = 3  # rows before the last one
+
+
 def runs_of(path: Path, names: Sequence[str], rows: Sequence[Sequence[str]], back: Sequence[bool]) -> str:
     """What to type where a column of rows tells runs apart: it changes where stamps go `back`, and nowhere else."""
     for name, column in zip(names, zip(*rows, strict=True), strict=True):

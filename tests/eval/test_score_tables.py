@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from data.formats.results.reading import read_path
 from eval.score import main as score
 
 T = 0.2 * np.arange(60)
@@ -53,7 +54,9 @@ def test_columns_that_may_be_anything_are_to_be_named(scored):
     text = table({"x": MINE[:, 0], "y": MINE[:, 1], "z": 0 * T}, False, " ")
     assert "--columns x=1,y=2" in scored(text, text, wrong=True)
     places = table({"lat": 1e-4 * MINE[:, 0] + 12.9, "lon": 1e-4 * MINE[:, 1] + 77.6}, False, " ")
-    assert "--columns x=1,y=2" in scored(places, places, wrong=True)
+    moved = table({"lat": 1e-4 * MINE[:, 0] + 12.90001, "lon": 1e-4 * MINE[:, 1] + 77.6}, False, " ")
+    assert scored(places, moved)["rmse_position_m"] == pytest.approx(1.106, abs=1e-3)  # degrees
+    assert scored(places, moved, flags=("--columns", "x=1,y=2"))["rmse_position_m"] == pytest.approx(1e-5)
     values = scored(text, table({"y": TRUE[:, 1], "x": TRUE[:, 0]}), flags=("--columns", "estimate.x=1,estimate.y=2"))
     assert values["rmse_position_m"] == pytest.approx(0.1)
 
@@ -150,3 +153,17 @@ def test_names_that_repeat_are_of_the_blank_column_before_them(scored):
     values = scored("\n".join([head, *rows]), table(WHOLE | {"x": TRUE[:, 0]}))
     assert values["rmse_position_m"] == pytest.approx(0.1, rel=1e-6)
     assert values["rmse_heading_deg"] < 1e-4
+
+
+def test_a_last_row_that_is_cut_off_is_left_out(scored, tmp_path):
+    bare = table(WHOLE, False)
+    for text in (bare, table(WHOLE), bare.replace(",", " ")):
+        separator = " " if " " in text else ","
+        rows = text.splitlines()
+        ends = rows[-1].rpartition(separator)[0], rows[-1].rpartition(separator)[0] + separator + "-"
+        for end in ends:
+            assert scored("\n".join([*rows[:-1], end]), text)["matched"] == 59
+            said = read_path(str(tmp_path / "0.csv")).notes
+            assert f"line {len(rows)}, the last one, is cut off and left out: '11.8," in said[-1]
+        cut = "\n".join([*rows[:-2], ends[0], rows[-1]])
+        assert f":{len(rows) - 1}: " in scored(cut, text, wrong=True)

@@ -15,7 +15,7 @@ import numpy as np
 from data.csv_table import cut_off, is_number, symmetric
 from data.errors import LARGEST, DataError, UsageError
 from data.formats.arrays import columns_of, is_arrays
-from data.formats.messages import file_and_word, kinds_of, numbered_rows, with_word
+from data.formats.messages import cut_end, file_and_word, kinds_of, numbered_rows, with_word
 from data.formats.results import path as paths
 from data.formats.results.space import UNIT, full, known_only, on_plane, rotations, translation_first
 from data.se2 import Array
@@ -44,6 +44,7 @@ class Text:
     comments: tuple[tuple[int, str], ...]
     commas: bool
     header: dict[str, tuple[int, str]]
+    cut: str = ""  # what is said of a last row that is left out
 
     def place(self, row: int) -> str:
         """Place of a row, for messages."""
@@ -96,6 +97,8 @@ def read_text(path: Path) -> Text:
     ended = fields[0][-1] == "" or len(fields[0]) < len(fields[-1])  # a last column with a name may be blank
     if separator is not None and ended and all(f[-1] == "" for f in fields[1:] or fields):  # a comma ends every line
         fields = tuple(f[:-1] if f[-1] == "" else f for f in fields)
+    if cut := cut_end(fields, data[-1][0]):
+        fields, data = fields[:-1], data[:-1]
     header: dict[str, tuple[int, str]] = {}
     for number, comment in comments:
         if comment.startswith("#%"):
@@ -103,7 +106,7 @@ def read_text(path: Path) -> Text:
             if key.upper() in header:
                 raise DataError.at(path, f"{key} is stated twice; once is needed", line=number)
             header[key.upper()] = number, value.strip()
-    return Text(path, fields, tuple(i for i, _ in data), comments, separator is not None, header)
+    return Text(path, fields, tuple(i for i, _ in data), comments, separator is not None, header, cut)
 
 
 def numbers(

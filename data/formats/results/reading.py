@@ -420,6 +420,7 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
         text = lines.read_text(path)
         read = _reader(text, manner)
         found, cov, times = read(text, manner), read is lines.read_tum, read is lines.read_kitti
+        found = replace(found, notes=(*found.notes, text.cut)) if text.cut else found
     raw = found.headings
     if raw is not None and in_degrees(np.column_stack([found.pose[:, :2], raw])):
         told = "inferred: headings are in degrees, as which alone they follow the motion (else --unit rad)"
@@ -455,10 +456,12 @@ def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:
         return partial(read_named, columns=replace(columns, told=",".join(f"{q}={n}" for q, n in stated.items())))
     if known is not None:
         return known
-    shown = f"{len(first)} fields, {','.join(first)[:40]!r}"
+    odd = next((k for k, row in enumerate(text.fields) if len(row) != len(first)), 0)
+    shown = f"{len(text.fields[odd])} fields{f' where {len(first)} are above' * (odd > 0)}"
+    shown += f", {','.join(text.fields[odd])[:40]!r}"
     example = ",".join(f"{q}={n}" for q, n in likely(text.fields).items())
     what = f"{shown}: no known trajectory format; {ACCEPTED} is needed, or columns by number: --columns {example}"
-    raise DataError.at(text.path, what, line=text.line[0])
+    raise DataError.at(text.path, what, line=text.line[odd])
 
 
 GUESSED = {2: (("x", "y"),), 3: (("x", "y", "yaw"), ("t", "x", "y")), 4: (("t", "x", "y", "yaw"),)}
@@ -493,7 +496,7 @@ def only_reading(fields: Sequence[Sequence[str]]) -> dict[str, str]:
 
 
 DIGITS_OF_DEGREES, EXTENT = 6, (20.0, 2e5)
-"""Least decimals of latitudes and longitudes, 0.1 m, and their extent [m]: a path of less is no robot's on its way."""
+"""Least usual decimals of latitudes and longitudes, 0.1 m, and their extent [m]: of less it may stand."""
 
 
 def _on_earth(fields: Sequence[Sequence[str]], rows: Array) -> tuple[str, ...]:
@@ -504,8 +507,8 @@ def _on_earth(fields: Sequence[Sequence[str]], rows: Array) -> tuple[str, ...]:
         place = rows[:, k : k + 2]
         far = np.abs(place).max(axis=0)
         wide = math.radians(6371e3 * float(np.hypot(*np.ptp(place, axis=0))))
-        fine = min(len(f.partition(".")[2]) for row in fields[:100] for f in row[k : k + 2]) >= DIGITS_OF_DEGREES
-        fine &= bool(np.ptp(place, axis=0).max() < FEW * far.max())
+        fine = np.median([len(f.partition(".")[2]) for row in fields for f in row[k : k + 2]]) >= DIGITS_OF_DEGREES
+        fine &= np.ptp(place, axis=0).max() < FEW * far.max()
         if fine and far.min() <= 90.0 and far.max() <= 180.0 and EXTENT[0] < wide < EXTENT[1]:
             return (*("t",) * k, *(("lat", "lon") if far[0] <= 90.0 else ("lon", "lat")), "alt")[: len(rows.T)]
     return ()

@@ -21,7 +21,7 @@ from data.csv_table import Table, cut_off, is_number
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import columns_of, is_arrays
-from data.formats.messages import file_and_word, kinds_of, numbered_rows, parts_of, whole_names, with_word
+from data.formats.messages import cut_end, file_and_word, kinds_of, numbered_rows, parts_of, whole_names, with_word
 from data.formats.results.reading import role_of, words_of
 from data.inputs import IntArray
 from data.notice import Notice
@@ -51,6 +51,7 @@ class TextTable:
     line: IntArray
     named: bool
     decimal_comma: bool = False
+    cut: str = ""  # what is said of a last row that is left out
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -186,6 +187,8 @@ def read_text(path: Path) -> TextTable:
     if all(len(r) > 1 and not r[-1] for r in rows) and (names is None or len(names) < len(rows[0]) or not names[-1]):
         rows = [row[:-1] for row in rows]  # a separator ends every line
         names = names[:-1] if names and not names[-1] else names
+    if cut := cut_end(rows, int(number[-1])):
+        rows, number = rows[:-1], number[:-1]
     width = len(rows[0]) if names is None else len(names)
     for row, line in zip(rows, number.tolist(), strict=True):
         if len(row) != width:
@@ -203,7 +206,7 @@ def read_text(path: Path) -> TextTable:
         j = next((shown.index(n) for n in (f"{stem}.nsecs", f"{stem}.nanosec") if n in shown), None)
         if last in ("secs", "sec") and j is not None and all(r[j].isdecimal() for r in rows):
             rows, shown[k] = [(*r[:k], f"{r[k]}.{int(r[j]):09d}", *r[k + 1 :]) for r in rows], stem
-    return TextTable(path, tuple(shown), tuple(rows), number, names is not None, comma)
+    return TextTable(path, tuple(shown), tuple(rows), number, names is not None, comma, cut)
 
 
 def _joined(path: Path, parts: Sequence[Path]) -> TextTable:

@@ -525,7 +525,9 @@ def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) ->
     """True poses (N, 3) at the frames, NaN where unknown."""
     if true.time is None:
         if len(true.pose) != len(time):
-            wanted.columns.require(file, "truth", ("t",))
+            what = f"{len(true.pose)} true poses, {len(time)} frames: which belong together?"
+            more = "stamps t of odometry and truth, or a true pose for each row of the odometry, are needed"
+            raise DataError.at(file.path, f"{what} {more} (--columns odometry.t=NAME,truth.t=NAME)")
         return true.pose
     result = truth_at(true.time, true.pose, time)
     if outside := int(((true.time < time[0]) | (true.time > time[-1])).sum()):
@@ -575,26 +577,32 @@ def _onto_fixes(fixes: Fixes, moved: Array) -> tuple[Array, float] | None:
 
 
 def _counter_clockwise(fixes: Fixes, moved: Array, wanted: Wanted) -> Fixes:
-    """With headings counter-clockwise from east, where the odometry's increments (N, 3) turn the other way round: those
-    of a compass, if the places say that they count from north.
+    """With headings counter-clockwise from east in rad, where the odometry's increments (N, 3) turn so only if they are
+    clockwise or in degrees: those of a compass, if the places say that they count from north.
     """
     rows = np.flatnonzero(fixes.kind != FixKind.POSITION)
-    turned = se2.dead_reckoned(np.zeros(3), moved)[fixes.frame[rows], 2]
-    with_it, against = (np.exp(1j * (turned - s * fixes.z[rows, 2])) for s in (1.0, -1.0))
-    stated = {"theta", "fixes.theta"} & set(wanted.columns.units.given) or wanted.fix_rotation
-    if stated or len(rows) < MANY or abs(with_it.mean()) > ODD or abs(against.mean()) < CONCENTRATED:
+    stated = {"theta", "angle", "fixes.theta"} & set(wanted.columns.units.given) or wanted.fix_rotation
+    if stated or len(rows) < MANY:
         return fixes
-    start = _onto_fixes(fixes, moved)
-    quarters = 0.0 if start is None else round(float(np.angle(against.mean()) + start[0][2]) / (0.5 * np.pi)) % 4
+    turned = se2.dead_reckoned(np.zeros(3), moved)[fixes.frame[rows], 2]
+    mean = {unit: complex(np.exp(1j * (turned - unit * fixes.z[rows, 2])).mean()) for unit in (1.0, *TURNED)}
+    fit = [unit for unit in TURNED if abs(mean[unit]) > CONCENTRATED]
+    start = None if abs(mean[1.0]) > ODD or len(fit) != 1 else _onto_fixes(fixes, moved)
+    if start is None:
+        return fixes
+    quarters = float(np.angle(mean[fit[0]]) + start[0][2]) / (0.5 * np.pi)
+    if abs(quarters - round(quarters)) * 0.5 * np.pi > 2.0 * LOOSE:
+        return fixes
     z = fixes.z.copy()
-    z[rows, 2] = se2.wrap_angle(0.5 * np.pi * quarters - z[rows, 2])
-    since = f" from {('east', 'north', 'west', 'south')[int(quarters)]}" if start is not None else ""
+    z[rows, 2] = se2.wrap_angle(0.5 * np.pi * round(quarters) + fit[0] * z[rows, 2])
+    since = ("east", "north", "west", "south")[round(quarters) % 4]
     wanted.columns.origins["units"] = Origin.INFERRED
-    text = f"inferred: headings of fixes count clockwise{since}, as the odometry turns against them"
+    text = f"inferred: headings of fixes are {TURNED[fit[0]]} from {since}, as the odometry turns so only"
     wanted.columns.notes.append(f"{text} (--unit fixes.theta=rad reads them as written)")
     return replace(fixes, z=z)
 
 
+TURNED = {-1.0: "clockwise", math.radians(1.0): "in degrees", -math.radians(1.0): "in degrees clockwise"}
 CONCENTRATED, ODD = 0.9, 0.5  # Length of the mean unit vector of angles that agree, at least, and of others, at most
 
 

@@ -5,7 +5,7 @@ A second one becomes closures between successive frames (`--second-odometry FILE
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -212,6 +212,25 @@ def read_odometry(
         assert wheels is not None  # of ticks they are stated
         pose = _rolled(table.stack(KINDS["ticks"]), wheels, time)
     return Odometry(table, time, stamped, pose, instants)
+
+
+def path_of(texts: Mapping[str, TextTable], columns: Columns, kind: str) -> tuple[Array, Array] | None:
+    """Stamps (K,) [s] and poses (K, 3) of a truth, else of an odometry; None without stamps, or of wheels and cars."""
+    units = replace(columns.units, given=dict(columns.units.given))
+    quiet = replace(columns, units=units, notes=[], asked=[], datum=[], origins={}, read=set())
+    if "truth" in texts and quiet.has(texts["truth"], "truth", wants := ("t", "x", "y", "theta")):
+        values = quiet.table(texts["truth"], "truth", wants, may_be_blank=wants[1:])[0].stack(wants)
+        values = values[np.isfinite(values).all(axis=1)]
+        if len(values) > 1:
+            return values[:, 0], quiet.turned(texts["truth"], "truth", values[:, 0], values[:, 1:])
+    if kind in ("ticks", "car") or quiet.find(texts["odometry"], "odometry", "t") is None:
+        return None
+    odometry = read_odometry(texts["odometry"], quiet, kind, None)
+    if not odometry.velocities:
+        return odometry.time, odometry.motion
+    way, turn = odometry.motion[:-1].T * np.diff(odometry.time)
+    steps = np.concatenate([np.zeros((1, 3)), se2.along_arcs(way, turn)])
+    return odometry.time, se2.dead_reckoned(np.zeros(3), steps)
 
 
 def _rolled(ticks: Array, wheels: Wheels, time: Array) -> Array:
