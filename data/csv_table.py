@@ -40,6 +40,7 @@ class Table:
     line: IntArray  # (K,) line of each row in the file
     unknown: tuple[str, ...] = ()  # names of columns that were not requested
     texts: Mapping[str, Sequence[str]] = field(default_factory=dict)  # columns of words, each (K,), empty where blank
+    named: Mapping[str, str] = field(default_factory=dict)  # columns in errors, where they have other names
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
@@ -86,7 +87,7 @@ class Table:
 
     def error(self, row: int, name: str | None, what: str) -> DataError:
         """The error of a row."""
-        return DataError.at(self.path, what, line=int(self.line[row]), column=name)
+        return DataError.at(self.path, what, line=int(self.line[row]), column=self.named.get(name or "", name))
 
     def together(self, names: Sequence[str]) -> bool:
         """Whether it has these columns; DataError where it has some of them only."""

@@ -588,7 +588,8 @@ class Columns:
                 raise UsageError(f"{given}: {file.path.name} is read without stamps")
             values |= {q: values[q] + self.offsets[role] for q in STAMPS if q in values}
         words = {q: file.text(c, keep) for q, c in named.items()}
-        table = Table(file.path, values, line=file.line[keep], texts=words)
+        known = {q: f"{file.names[c]} ({role}.{q})" for q, c in columns.items() if file.names[c] != q}
+        table = Table(file.path, values, line=file.line[keep], texts=words, named=known)
         for q, c in columns.items():
             fine = np.isfinite(values[q])
             if q not in may_be_blank and not fine.all():

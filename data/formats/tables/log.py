@@ -20,7 +20,7 @@ from data.errors import DataError, UsageError, unknown
 from data.formats.messages import file_and_word, parts_of
 from data.formats.open_log import Recording, Samples
 from data.formats.recordings.laser import FLOOR
-from data.formats.results.path import ABSENT, COARSE, unturned
+from data.formats.results.path import ABSENT, COARSE, in_order, unturned
 from data.formats.second_odometry import together
 from data.formats.tables.files import QUATERNION, SCANS, SECOND, TextTable, headings
 from data.formats.tables.motion import Odometry, pose_columns, read_odometry, read_second, second_closures
@@ -487,12 +487,32 @@ def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePose
     read[~np.isfinite(read[:, :2]).all(axis=1)] = np.nan
     world = se2.compose(wanted.truth_pose, read) if wanted.truth_pose.any() else read
     if by_stamp:
-        table.require_ascending("t", strictly=True)
-        return TruePoses(values["t"], world)
+        table.require_ascending("t", strictly=False)
+        keep = _once(table, world)
+        if more := len(world) - len(keep):
+            some = f"{more} of {len(world)} true poses share their stamp with the next one, which is used"
+            columns.notes.append(f"{file.path.name}: {some}")
+        return TruePoses(values["t"][keep], world[keep])
     if len(world) != len(odometry.rows):
         return TruePoses(None, world)
     own = np.flatnonzero(np.append(np.diff(odometry.rows) != 0.0, True) & ~np.isnan(odometry.rows))
     return TruePoses(odometry.rows[own], world[own])
+
+
+def _once(table: Table, pose: Array) -> IntArray:
+    """The last of the rows at each stamp of poses (K, 3); DataError where these are farther apart than `SAME` steps."""
+    step = np.hypot(*np.diff(pose[:, :2], axis=0).T)
+    again = np.diff(table.columns["t"]) == 0.0
+    moves = step[~again & (step > 0.0)]
+    far = again & (step > SAME * (np.median(moves) if len(moves) else 0.0))
+    if far.any():
+        row = int(np.argmax(far))
+        what = f"the stamp of the row before, whose true place is {step[row]:.3g} m off; stamps that tell them apart"
+        raise table.error(row + 1, "t", f"{what} are needed")
+    return in_order(str(table.path), table.columns["t"], np.nan_to_num(pose)).astype(np.int64)
+
+
+SAME = 3.0  # Usual steps between stamps, within which true poses at one stamp are the same
 
 
 def _require_digits(part: Rows) -> None:
