@@ -267,9 +267,7 @@ def _between(wanted: Wanted) -> bool:
 
 
 def read_log(name: str, wanted: Wanted) -> Recording:
-    """The log of the tables, with velocities as recorded; DataError or UsageError for invalid parts, stamps without
-    overlap, or a missing prior.
-    """
+    """The log of the tables; DataError or UsageError for invalid parts, stamps without overlap, or a missing prior."""
     columns, texts, notes = wanted.columns, wanted.texts, wanted.columns.notes
     between = wanted.kind == "steps" and _between(wanted)
     odometry = read_odometry(texts["odometry"], columns, wanted.kind, wanted.wheels, between=between)
@@ -445,9 +443,7 @@ def _span(time: Array) -> str:
 
 
 def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
-    """Landmarks in the world frame; without ids they are numbered from 0 in the order of the file. Blank sigmas are 0.
-    DataError for sigmas that the map's rotation would correlate.
-    """
+    """Landmarks in the world, numbered from 0 without ids; DataError for sigmas that a turned map would correlate."""
     columns = wanted.columns
     # a column of that name is something else where no sensor sees a kind
     kind = (KIND,) * (any(of.sensor.sees for of in wanted.sensors) or columns.stated("map", (KIND,)))
@@ -557,9 +553,7 @@ def _ahead(pose: Array, moved: Array) -> float | None:
 
 
 def _onto_fixes(fixes: Fixes, moved: Increments) -> tuple[Array, Array] | None:
-    """The first pose that takes the odometry to the first fixes of a place, as far as tells its heading, and its
-    standard deviations (3,); None: no such way.
-    """
+    """The first pose that takes the odometry to the first fixes, which tell its heading, and its sigma (3,); or None."""
     rows = np.flatnonzero(fixes.kind != FixKind.HEADING)
     if not len(rows):
         return None
@@ -579,9 +573,7 @@ def _onto_fixes(fixes: Fixes, moved: Increments) -> tuple[Array, Array] | None:
 
 
 def _counter_clockwise(fixes: Fixes, moved: Increments, wanted: Wanted) -> Fixes:
-    """With headings counter-clockwise from east in rad, where the odometry turns so only if they are clockwise or in
-    degrees: those of a compass, if the places say that they count from north.
-    """
+    """With headings of a compass, or in degrees, from east in rad, where the odometry turns as they do only then."""
     rows = np.flatnonzero(fixes.kind != FixKind.POSITION)
     stated = {"theta", "angle", "fixes.theta"} & set(wanted.columns.units.given) or wanted.fix_rotation
     if stated or len(rows) < MANY:
