@@ -553,7 +553,7 @@ def _ahead(pose: Array, moved: Array) -> float | None:
 
 
 def _onto_fixes(fixes: Fixes, moved: Increments) -> tuple[Array, Array] | None:
-    """The first pose that takes the odometry to the first fixes, which tell its heading, and its sigma (3,); or None."""
+    """The first pose that takes the odometry to the first fixes, which tell its heading, and its sigma (3,)."""
     rows = np.flatnonzero(fixes.kind != FixKind.HEADING)
     if not len(rows):
         return None
