@@ -498,7 +498,7 @@ class Columns:
         return values + self.offsets.get(role, 0.0)
 
     def turned(self, file: TextTable, role: str, time: Array, pose: Array) -> Array:
-        """Poses (K, 3) in rad; headings that follow the course as degrees only are converted; others are asked about."""
+        """Poses (K, 3) in rad; headings that follow the course as degrees only are converted, others asked about."""
         key = f"{role}.theta"
         if self.units.factor(role, "theta") != 1.0:
             return pose
