@@ -82,9 +82,7 @@ class TextTable:
         return [row[column] for row, wanted in zip(self.rows, keep.tolist(), strict=True) if wanted]
 
     def numbers(self, column: int, keep: BoolArray, *, stamps: bool) -> Array:
-        """A column as numbers, NaN where blank; `stamps`: dates as 2024-05-01T12:00:00.5 in s since 1970. DataError if
-        invalid.
-        """
+        """A column as numbers, NaN where blank; `stamps`: dates in s since 1970. DataError if invalid."""
         parse: Callable[[str], float] = seconds_of if stamps else partial(_number, comma=self.decimal_comma)
         values = np.full(int(keep.sum()), np.nan)
         for k, text in enumerate(self.text(column, keep)):
@@ -133,9 +131,7 @@ def _separator(lines: Sequence[str]) -> str:
 
 
 def read_text(path: Path) -> TextTable:
-    """The file's rows, of FILE:WORD those that begin with a word; DataError for an unreadable or binary file, one
-    without rows, or unequal rows.
-    """
+    """The file's rows, of FILE:WORD those with that word; DataError if unreadable, binary, empty, or unequal."""
     if len(parts := parts_of(path)) > 1:
         return _joined(path, parts)
     if is_arrays(path):
@@ -502,9 +498,7 @@ class Columns:
         return values + self.offsets.get(role, 0.0)
 
     def turned(self, file: TextTable, role: str, time: Array, pose: Array) -> Array:
-        """Poses (K, 3) in radians: headings that follow the course as degrees only are converted, which is noted. Of a
-        stated unit, and of others that turn too fast, there is a question.
-        """
+        """Poses (K, 3) in rad; headings that follow the course as degrees only are converted, others asked about."""
         key = f"{role}.theta"
         if self.units.factor(role, "theta") != 1.0:
             return pose
