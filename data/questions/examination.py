@@ -12,260 +12,39 @@ from typing import cast
 
 import numpy as np
 
-from data import se2
-from data.columns.named import LENGTH
-from data.inputs import IntArray
-from data.log import ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
+from data.log import ODOMETRY_KIND, ODOMETRY_PERIOD, Log
 from data.notice import Code, Notice, notice
 from data.questions import witnesses
-from data.questions.witnesses import EXACT, FEWEST, WEIGHT, WITNESSES, Case, Samples, by_nearest, case_of, changes
-from data.se2 import Array, between, compose, inverse, rigid_fit, transform_points, wrap_angle
-from data.sensors import RELATIVE_POINT
-
-
-@dataclass(frozen=True, eq=False)
-class Reading:
-    """Another way to read a log."""
-
-    # `UNIT`, `SIDE`, `EXCHANGED`, `CLOCK`, `TURNED`, `WORLD`, `COMPASS`, `FRAME` (place of a part in the world),
-    # `SHIFTED` (ids), `STRANGE` (ids of other landmarks) or `STILL` (headings that never change)
-    kind: str
-    of: str  # the quantity, or the part of the log
-    change: Callable[[Case], Case]  # the case as it is read then
-    unit: str = ""  # of a `UNIT`; of other kinds empty
-    # s of a `CLOCK`, deg of `TURNED`, difference of `SHIFTED`; of a `UNIT` of all lengths, how many times as large as
-    # the stated noise errors are
-    number: float = math.nan
-    carry: tuple[float, ...] = ()  # of a `FRAME` the pose by which it is moved, of `PLACED` where it is on the body
-
-    @property
-    def part(self) -> str:
-        """The part of the log that is read otherwise."""
-        return PARTS.get(self.of, OBSERVATIONS)
-
-
-UNIT, SIDE, EXCHANGED, CLOCK, TURNED = "unit", "side", "exchanged", "clock", "turned"
-WORLD, COMPASS, FRAME, SHIFTED = "world", "compass", "frame", "shifted"
-STRANGE, STILL, ORDER, SCALE = "strange", "still", "order", "scale"
-DOUBLED, HOLD, PLACED, SUMMED, UNKNOWN = "doubled", "hold", "placed", "summed", "unknown"
-ODOMETRY, OBSERVATIONS, MAP, TRUTH = "odometry", "observations", "map", "truth"
-PARTS = {
-    **dict.fromkeys(("v", "omega", "v and omega", "bearing and omega", ODOMETRY), ODOMETRY),
-    **dict.fromkeys((MAP, "map.x", "map.y", "x and y of the map"), MAP),
-    **dict.fromkeys((TRUTH, "truth and map", "point of the truth", "truth.x", "truth.y", "truth.theta"), TRUTH),
-    **dict.fromkeys(("x and y of the truth", "truth's mirror"), TRUTH),
-}
-HEARD = {
-    ODOMETRY: (witnesses.BY_TRUTH, "observations and odometry", "observations and map"),
-    OBSERVATIONS: ("observations and odometry", "observations and truth", "observations and map"),
-    MAP: ("observations and truth", "observations and map"),
-    TRUTH: (witnesses.BY_TRUTH, "observations and truth"),
-}
-"""Witnesses that speak of a part."""
-METRES = {unit: metres for unit, metres in LENGTH.items() if unit != "m"}
-SPEEDS = {"mm/s": 1e-3, "cm/s": 1e-2, "ft/s": 0.3048, "km/h": 1.0 / 3.6, "mph": 0.44704, "kn": 1852.0 / 3600.0}
-DEG = math.pi / 180.0
-TURNING = {"deg/s": DEG, "mrad/s": 1e-3, "rpm": math.pi / 30.0}
-SIZES = SPEEDS | METRES | TURNING | {"min": 60.0}
-BEARINGS = {"deg": DEG, "-deg": -DEG, "mrad": 1e-3}
-ABOUT, MIRROR = np.array([0.0, 0.0, 1.0]), np.diag([1.0, -1.0, -1.0])
-
-
-def _arcs(c: Case) -> tuple[Array, Array]:
-    """Lengths (N,), negative backwards, and turns of the increments' arcs."""
-    half = 0.5 * c.u[:, 2]
-    sinc = np.sinc(half / np.pi)
-    chord = c.u[:, 0] * np.cos(half) + c.u[:, 1] * np.sin(half)
-    return chord / np.where(np.abs(sinc) < 1e-3, 1e-3, sinc), c.u[:, 2]
-
-
-def _faster(factor: float) -> Callable[[Case], Case]:
-    return lambda c: replace(c, u=c.u * [factor, factor, 1.0])
-
-
-def _turning(factor: float) -> Callable[[Case], Case]:
-    """Turns of the odometry times a factor; of poses the headings, with the positions as they are."""
-
-    def change(c: Case) -> Case:
-        if c.kind == "steps":
-            return replace(c, u=c.u * [1.0, 1.0, factor])
-        way, turn = _arcs(c)
-        if c.kind != "poses":
-            return replace(c, u=se2.along_arcs(way, factor * turn))
-        path = c.odometry
-        heading, step = factor * (path[:, 2] - path[0, 2]), np.diff(path[:, :2], axis=0)
-        # the first heading is as wrong as the others: robots drive ahead
-        ahead = np.sum((step[:, 0] + 1j * step[:, 1]) * np.exp(-0.5j * (heading[1:] + heading[:-1])))
-        pose = np.column_stack([path[:, :2], heading + np.angle(ahead)])
-        return replace(c, u=np.vstack([c.u[:1], between(pose[:-1], pose[1:])]))
-
-    return change
-
-
-def _rates(factor: float) -> Callable[[Case], Case]:
-    """Velocities times a factor."""
-    return lambda c: replace(c, u=se2.along_arcs(*(factor * np.array(_arcs(c)))))
-
-
-def _since(*summed: int) -> Callable[[Case], Case]:
-    """Speeds (0) that are distances since the start, turn rates (1) that are headings."""
-
-    def change(c: Case) -> Case:
-        motion = list(_arcs(c))
-        for k in summed if c.kind == "velocities" else ():
-            total = motion[k][1:] / np.maximum(np.diff(c.time), TINY)
-            step = np.append(0.0, np.diff(total, append=total[-1:]))
-            motion[k] = np.asarray(wrap_angle(step)) if k else step
-        return replace(c, u=se2.along_arcs(*motion))
-
-    return change
-
-
-def _seen(*factors: float) -> Callable[[Case], Case]:
-    return lambda c: replace(c, z=c.z * factors, R=c.R * np.square(factors))
-
-
-def _swapped(c: Case) -> Case:
-    return replace(c, z=c.z[:, ::-1], R=c.R[:, ::-1])
-
-
-def _on_map(M: Array) -> Callable[[Case], Case]:
-    return lambda c: c if c.places is None else replace(c, places=c.places @ M.T)
-
-
-def _truly(change: Callable[[Array], Array]) -> Callable[[Case], Case]:
-    return lambda c: c if c.truth is None else replace(c, truth=change(c.truth))
-
-
-def _shifted(by: int) -> Callable[[Case], Case]:
-    return lambda c: c if c.id is None else replace(c, id=np.where(c.id >= 0, c.id + by, c.id))
-
-
-def _late(part: str, seconds: float) -> Callable[[Case], Case]:
-    """A part whose stamps are so much later than what they are of."""
-
-    def change(c: Case) -> Case:
-        if part == OBSERVATIONS:
-            return replace(c, at=c.at - seconds)
-        if part == TRUTH:
-            return replace(c, truth_time=c.truth_time - seconds)
-        return replace(c, at=c.at + seconds, truth_time=c.truth_time + seconds)
-
-    return change
-
-
-def _turned_by(degrees: float) -> Callable[[Case], Case]:
-    return lambda c: replace(c, mount=c.mount + DEG * degrees * ABOUT)
-
-
-def _heading_off(degrees: float) -> Callable[[Case], Case]:
-    return _truly(lambda pose: pose + DEG * degrees * ABOUT)
-
-
-def _from_places(c: Case) -> Case:
-    """Observations that are places in the world, from the robot's pose."""
-    path = c.seen_from or c.along
-    if path is None or not c.cartesian:
-        return c
-    xy = c.z[:, :1] * np.stack([np.cos(c.z[:, 1]), np.sin(c.z[:, 1])], axis=1)
-    x, y = transform_points(inverse(path[0]), xy).T
-    return replace(c, z=np.stack([np.hypot(x, y), np.arctan2(y, x)], axis=1))
-
-
-def _mount(c: Case, s: Samples) -> Reading | None:
-    """The sensor at another place of the robot: by the map from the true path, else by what is seen as it turns."""
-    if c.id is None or (path := c.seen_from or c.along) is None:
-        return None
-    pose, inside = path
-    if c.names is not None and c.seen_from is not None:
-        rows = s.some[inside[s.some]]
-        off = transform_points(inverse(pose[rows]), witnesses.place_of(c, c.id[rows])) - c.points(rows, pose[rows, 2])
-        off = off[np.isfinite(off).all(axis=1)]
-        by = np.broadcast_to(np.eye(2), (len(off), 2, 2))
-    elif (found := changes(c, s, path, c.spread)) is not None:
-        off, by = found[0], found[3]
-    else:
-        return None
-    mount = c.mount + _solved(by, off)
-    return Reading(PLACED, "place of the sensor", lambda c: replace(c, mount=mount), "", *_at(mount - c.mount, mount))
-
-
-def _lever(c: Case, s: Samples) -> Reading | None:
-    """Truth of another point of the robot, by the odometry as it turns."""
-    if c.truth is None or not c.u.any() or c.truth_time is not c.time:
-        return None
-    i, j = (np.concatenate(rows) for rows in zip(*s.spans, strict=True))
-    a, b = between(c.truth[i], c.truth[j]), between(c.odometry[i], c.odometry[j])
-    fine = np.isfinite(a).all(axis=1)
-    at = _solved(se2.worlds_from_bodies(b[fine, 2])[:, :2, :2] - np.eye(2), (a - b)[fine, :2])
-    return Reading(PLACED, "point of the truth", _truly(lambda pose: compose(pose, -at)), "", *_at(at, at))
-
-
-def _at(moved: Array, place: Array) -> tuple[float, tuple[float, ...]]:
-    """How far a point is moved, and where it is then."""
-    return float(np.hypot(*moved[:2])), tuple(place.tolist())
-
-
-ROBUST = 4  # Fits, each without those that the one before left farthest
-
-
-def _solved(A: Array, off: Array) -> Array:
-    """The place (3,) that explains differences (n, 2) by A (n, 2, 2) best, without the largest that are left."""
-    found, left = np.zeros(2), np.zeros(len(off))
-    for _ in range(ROBUST if len(off) >= FEWEST else 0):
-        near = left <= np.quantile(left, witnesses.KEPT[0])
-        found[:] = np.linalg.lstsq(A[near].reshape(-1, 2), off[near].ravel())[0]
-        left = np.hypot(*(A @ found - off).T)
-    return np.array([*found, 0.0])
-
-
-def _frame(c: Case, rows: IntArray) -> Array | None:
-    """The pose (3,) that carries what is observed from the true path onto the map."""
-    if c.seen_from is None or c.id is None:
-        return None
-    pose, inside = c.seen_from
-    place = witnesses.place_of(c, c.id[rows])
-    fine = inside[rows] & np.isfinite(place).all(axis=1)
-    if fine.sum() < FEWEST:
-        return None
-    rows = rows[fine]
-    points = pose[rows, :2] + witnesses.rotated(pose[rows, 2], c.points(rows, pose[rows, 2]))
-    return rigid_fit(points, place[fine])
-
-
-READINGS: tuple[Reading, ...] = (
-    *(Reading(UNIT, "v", _faster(k), unit) for unit, k in SPEEDS.items()),
-    Reading(SIDE, "v", lambda c: c if c.kind == "poses" else _faster(-1.0)(c)),
-    *(Reading(UNIT, "omega", _turning(k), unit) for unit, k in TURNING.items()),
-    Reading(SIDE, "omega", _turning(-1.0)),
-    Reading(SUMMED, "omega", _since(1)),
-    Reading(SUMMED, "v", _since(0)),
-    Reading(SUMMED, "v and omega", _since(0, 1)),
-    Reading(UNIT, "v and omega", lambda c: _rates(60.0)(c) if c.kind == "velocities" else c, "min"),
-    Reading(EXCHANGED, "v and omega", lambda c: replace(c, u=se2.along_arcs(*_arcs(c)[::-1]))),
-    *(Reading(UNIT, "range", _seen(k, 1.0), unit) for unit, k in METRES.items() if unit != "km"),
-    *(Reading(UNIT, "bearing", _seen(1.0, k), unit) for unit, k in BEARINGS.items()),
-    Reading(SIDE, "bearing", _seen(1.0, -1.0)),
-    Reading(SIDE, "bearing and omega", lambda c: _turning(-1.0)(_seen(1.0, -1.0)(c))),
-    Reading(EXCHANGED, "range and bearing", _swapped),
-    Reading(EXCHANGED, "range and bearing", lambda c: _seen(1.0, DEG)(_swapped(c)), "deg"),
-    Reading(WORLD, "bearing", lambda c: replace(c, world=True)),
-    Reading(WORLD, "places", _from_places),
-    Reading(UNIT, "stamps of observations", lambda c: replace(c, at=60.0 * c.at), "min"),
-    Reading(TURNED, "sensor", _turned_by(180.0), number=180.0),  # of two parts alone the same as v to the other side
-    *(Reading(UNIT, MAP, _on_map(k * np.eye(2)), unit) for unit, k in METRES.items()),
-    Reading(EXCHANGED, "x and y of the map", _on_map(np.eye(2)[::-1])),
-    *(Reading(SIDE, f"map.{axis}", _on_map(np.diag(m))) for axis, m in (("x", [-1.0, 1.0]), ("y", [1.0, -1.0]))),
-    Reading(SIDE, "truth and map", lambda c: _on_map(MIRROR[:2, :2])(_truly(lambda p: p @ MIRROR)(c))),
-    *(Reading(UNIT, TRUTH, _truly(lambda p, k=k: p * [k, k, 1.0]), unit) for unit, k in METRES.items()),  # type: ignore[misc]
-    Reading(UNIT, "truth.theta", _truly(lambda p: p * [1.0, 1.0, DEG]), "deg"),
-    Reading(SIDE, "truth.theta", _truly(lambda p: p * [1.0, 1.0, -1.0])),
-    Reading(SIDE, "truth.x", _truly(lambda p: p * [-1.0, 1.0, 1.0])),
-    Reading(SIDE, "truth.y", _truly(lambda p: p * [1.0, -1.0, 1.0])),
-    Reading(SIDE, "truth's mirror", _truly(lambda p: p * [1.0, -1.0, -1.0])),
-    Reading(COMPASS, "truth.theta", _truly(lambda p: p * [1.0, 1.0, -1.0] + 0.5 * np.pi * ABOUT)),
-    Reading(EXCHANGED, "x and y of the truth", _truly(lambda p: p[:, [1, 0, 2]])),
+from data.questions.flags import flags_of
+from data.questions.readings import (
+    DEG,
+    HEARD,
+    METRES,
+    PARTS,
+    READINGS,
+    SIZES,
+    SMALL_NOISE,
+    TINY,
+    Kind,
+    Numbered,
+    Part,
+    Reading,
+    faster,
+    frame_of,
+    heading_off,
+    late_by,
+    lever_arm,
+    mounted,
+    on_map,
+    rates,
+    seen_as,
+    shifted,
+    truly,
+    turned_by,
+    turning,
 )
+from data.questions.witnesses import EXACT, FEWEST, WEIGHT, WITNESSES, Case, Samples, by_nearest, case_of, changes
+from data.se2 import Array, between, compose, inverse, rigid_fit, transform_points
 
 LEFT = 2.0  # Above this multiple of the stated noise parts contradict each other under a reading, too: pairs are tried
 CLEAR = 20.0  # Least gain of a reading in log-likelihood
@@ -293,7 +72,7 @@ class Explained:
 
 
 def _told(
-    kind: str, of: str, witness: str, stated: float, fits: float = 0.0, unit: str = "", number: float = math.nan,
+    kind: Kind, of: str, witness: str, stated: float, fits: float = 0.0, unit: str = "", number: float = math.nan,
     gain: float = math.inf,
 ) -> list[Explained]:  # fmt: skip
     """A reading that shows by itself, without being tried."""
@@ -318,9 +97,9 @@ class Examination:
         c, gain, sharp, witness, best = r.change(self.case), 0.0, 0.0, "", (1.0, 1.0, 0.0, 0.0)
         left, alone, worst = False, by_nearest(self.case, self.samples), 0.0
         for name, fits in self.said.items():
-            if name == "observations and map" and self.case.id is None and r.part != MAP:
+            if name == "observations and map" and self.case.id is None and r.part != Part.MAP:
                 continue
-            all_parts = r.of in (ODOMETRY, "bearing and omega", "truth and map")
+            all_parts = r.of in (Part.ODOMETRY, "bearing and omega", "truth and map")
             new = WITNESSES[name](c, self.samples) if name in HEARD[r.part] or all_parts else fits
             for f, g in zip(fits, new, strict=False):
                 if f is None or g is None:
@@ -337,11 +116,11 @@ class Examination:
                 worst = max(worst, g.off if g.off > LEFT**2 * g.noise else 0.0)
                 if (more > CLEAR and g.off <= POOR, more) > (best[2] > CLEAR and best[1] <= POOR, best[2]):
                     witness, best = name, (f.off, g.off, more, g.noise)
-        poor = max(NEAREST, LEFT * best[3]) if alone and witness.startswith(OBSERVATIONS) else POOR
+        poor = max(NEAREST, LEFT * best[3]) if alone and witness.startswith(Part.OBSERVATIONS) else POOR
         poor *= worst <= max(POOR, 4.0 * best[0])  # a small contradiction beside a large one
         return Explained((*self.before, r), gain, sharp, witness, best[0], best[1], left, poor, None, best[3])
 
-    def searched(self, kind: str, of: str, change: Callable[[float], Callable[[Case], Case]], grid: Array) -> Explained:
+    def searched(self, kind: Kind, of: str, change: Numbered, grid: Array) -> Explained:
         """The best of a reading's numbers, between those of a grid."""
 
         def at(number: float) -> Explained:
@@ -360,7 +139,7 @@ class Examination:
 
     def scaled(self, of: str) -> Explained:
         """The best scale of a quantity."""
-        e = self.searched(SCALE, of, lambda log_scale: SCALED[of](math.exp(log_scale)), SCALES)
+        e = self.searched(Kind.SCALE, of, lambda log_scale: SCALED[of](math.exp(log_scale)), SCALES)
         return replace(e, readings=(*e.readings[:-1], replace(e.readings[-1], number=math.exp(-e.readings[-1].number))))
 
     def plain(self) -> Iterator[Explained]:
@@ -370,45 +149,46 @@ class Examination:
         radians = float(np.abs(c.z[:, 1]).max(initial=0.0)) <= TURN
         for r in READINGS:
             named = c.kind == "velocities" or r.unit not in ("km/h", "mph", "kn", "rpm")
-            if named and self._told(r.part) and not (radians and r.kind == UNIT and r.of == "bearing"):
+            if named and self._told(r.part) and not (radians and r.kind == Kind.UNIT and r.of == "bearing"):
                 yield self.judged(r)
         if len(c.z) and c.truth is None and c.names is None:  # where the world's x axis points is unknown, too
-            yield self.searched(WORLD, "bearing", lambda x: lambda c: replace(_turned_by(x)(c), world=True), TURNS)
+            yield self.searched(Kind.WORLD, "bearing", lambda x: lambda c: replace(turned_by(x)(c), world=True), TURNS)
         if c.id is not None and c.names is not None:
             first, last = c.names.min() - c.id[c.id >= 0].min(), c.names.max() - c.id.max()
             for by in sorted({-1, 1, int(first), int(last)} - {0}):
-                yield self.judged(Reading(SHIFTED, "ids", _shifted(by), number=float(by)))
-            if c.truth is not None and (fit := _frame(c, self.samples.some)) is not None:
+                yield self.judged(Reading(Kind.SHIFTED, "ids", shifted(by), number=float(by)))
+            if c.truth is not None and (fit := frame_of(c, self.samples.some)) is not None:
                 yield self.judged(
-                    Reading(FRAME, TRUTH, _truly(lambda pose: compose(fit, pose)), carry=tuple(fit.tolist()))
+                    Reading(Kind.FRAME, Part.TRUTH, truly(lambda pose: compose(fit, pose)), carry=tuple(fit.tolist()))
                 )
 
     def clocks(self) -> Iterator[Explained]:
         """The best offset of each part's stamps."""
         c = self.case
         three = len(c.z) and c.truth is not None  # of two clocks either may be late
-        for part, have in ((OBSERVATIONS, len(c.z)), (TRUTH, c.truth is not None), (ODOMETRY, three and c.u.any())):
+        parts = (Part.OBSERVATIONS, len(c.z)), (Part.TRUTH, c.truth is not None), (Part.ODOMETRY, three and c.u.any())
+        for part, have in parts:
             if have and self._told(part):
-                of: Callable[[float], Callable[[Case], Case]] = partial(_late, part)
-                near = self.searched(CLOCK, part, of, CLOCKS)
+                of: Numbered = partial(late_by, part)
+                near = self.searched(Kind.CLOCK, part, of, CLOCKS)
                 far = min(0.95 * float(c.time[-1] - c.time[0]), FARTHEST)
                 told = accepted(near) and not near.left and abs(near.readings[-1].number) < CLOCKS[-1]
                 wide = np.arange(-far, far, 2.0 * (CLOCKS[1] - CLOCKS[0]))
                 told = told or bool(self.before) or far <= CLOCKS[-1] or (len(c.z) > 0 and by_nearest(c, self.samples))
-                yield near if told else self.searched(CLOCK, part, of, wide)
+                yield near if told else self.searched(Kind.CLOCK, part, of, wide)
 
-    def far_clock(self, part: str) -> Explained | None:
+    def far_clock(self, part: Part) -> Explained | None:
         """The offset that stands out of all others without ids, by which much fits; of laps the least."""
         c, step = self.case, 0.5 * float(CLOCKS[1] - CLOCKS[0])
         far = min(0.95 * float(c.time[-1] - c.time[0]), FARTHEST)
         if not len(c.z) or not by_nearest(c, self.samples) or far <= CLOCKS[-1] or not self._told(part):
             return None
-        wide, of = np.arange(-far, far, 4.0 * step), partial(_late, part)
-        each = [self.judged(Reading(CLOCK, part, of(x), "", x)) for x in wide.tolist()]
+        wide, of = np.arange(-far, far, 4.0 * step), partial(late_by, part)
+        each = [self.judged(Reading(Kind.CLOCK, part, of(x), "", x)) for x in wide.tolist()]
         sharp = np.array([e.sharp for e in each])
         peaks = np.flatnonzero((sharp[1:-1] >= sharp[:-2]) & (sharp[1:-1] >= sharp[2:])) + 1
         peaks = peaks[np.argsort(-sharp[peaks])][:PEAKS]
-        found = [self.searched(CLOCK, part, of, wide[k] + step * np.arange(-2.0, 2.5)) for k in peaks.tolist()]
+        found = [self.searched(Kind.CLOCK, part, of, wide[k] + step * np.arange(-2.0, 2.5)) for k in peaks.tolist()]
         most = max((e.sharp for e in found), default=0.0)
         alike = [e for e in found if e.sharp > most - ALIKE]
         rest = [e.sharp for e in found if e.sharp <= most - ALIKE]
@@ -422,33 +202,33 @@ class Examination:
         c = self.case
         yield from self.clocks()
         if len(c.z):
-            yield self.searched(TURNED, "sensor", _turned_by, TURNS)
+            yield self.searched(Kind.TURNED, "sensor", turned_by, TURNS)
         if c.truth is not None:
-            yield self.searched(TURNED, "truth.theta", _heading_off, TURNS)
-        yield from (self.judged(r) for r in (_mount(c, self.samples), _lever(c, self.samples)) if r is not None)
+            yield self.searched(Kind.TURNED, "truth.theta", heading_off, TURNS)
+        yield from (self.judged(r) for r in (mounted(c, self.samples), lever_arm(c, self.samples)) if r is not None)
         if np.ptp(c.u[1:], axis=0).any():  # steps that are all equal are a motion prior, whose length is a guess
             for of in SCALED:
-                if self._told(PARTS.get(of, OBSERVATIONS)):
+                if self._told(PARTS.get(of, Part.OBSERVATIONS)):
                     yield self.scaled(of)
 
-    def _told(self, part: str) -> bool:
+    def _told(self, part: Part) -> bool:
         return any(f is not None for name in HEARD[part] for f in self.said[name])
 
 
-SCALED: Mapping[str, Callable[[float], Callable[[Case], Case]]] = {
-    "v": lambda k: _faster(k),
-    "omega": lambda k: _turning(k),
-    "v and omega": lambda k: _rates(k),
-    "range": lambda k: _seen(k, 1.0),
-    MAP: lambda k: _on_map(k * np.eye(2)),
-    TRUTH: lambda k: _truly(lambda p: p * [k, k, 1.0]),
+SCALED: Mapping[str, Numbered] = {
+    "v": faster,
+    "omega": turning,
+    "v and omega": rates,
+    "range": lambda k: seen_as(k, 1.0),
+    Part.MAP: lambda k: on_map(k * np.eye(2)),
+    Part.TRUTH: lambda k: truly(lambda p: p * [k, k, 1.0]),
 }
 """Quantities that may have another scale."""
 SCALES = np.linspace(-7.2, 7.2, 37)  # Logarithms of scales that are tried first
 CLOCKS, FARTHEST, TURNS = np.linspace(-6.0, 6.0, 31), 150.0, np.linspace(-165.0, 180.0, 24)
 """Clock offsets [s] and turns [deg] that are tried first, and the largest where none of these explains all; the search
 goes on around the best."""
-ROUND = {CLOCK: (1.0, 0.5, 0.1, 0.05, 0.01, 0.001), TURNED: (90.0, 45.0, 10.0, 5.0, 1.0), SCALE: (0.01,)}
+ROUND = {Kind.CLOCK: (1.0, 0.5, 0.1, 0.05, 0.01, 0.001), Kind.TURNED: (90.0, 45.0, 10.0, 5.0, 1.0), Kind.SCALE: (0.01,)}
 """Units to which the best offset [s], turn [deg] or logarithm is rounded: the next rounder is exp(0.5) as probable."""
 PEAKS, ALIKE = 12, 7.0
 """Best offsets that are compared; log-likelihoods by which those of laps differ, a sigma of `WEIGHT` differences."""
@@ -459,7 +239,8 @@ def accepted(e: Explained) -> bool:
     """Whether a reading explains clearly what does not fit as stated."""
     r = e.readings[-1]
     share = LESS if r.kind in LEAST else PLAIN
-    far = any(r.kind == CLOCK and abs(r.number) > CLOCKS[-1] for r in e.readings)  # at one of many some fit by chance
+    # at one of many some fit by chance
+    far = any(r.kind == Kind.CLOCK and abs(r.number) > CLOCKS[-1] for r in e.readings)
     return e.gain > CLEAR and e.fits <= min(share * e.stated, e.poor / 2.0 if far else e.poor) and _matters(e)
 
 
@@ -468,24 +249,25 @@ def _matters(e: Explained) -> bool:
     r = e.readings[-1]
     if (r.kind not in LEAST or "omega" in r.of) and e.stated <= SLIGHT:
         return False
-    scales = [q for q in e.readings if q.kind == SCALE]
+    scales = [q for q in e.readings if q.kind == Kind.SCALE]
     if any(abs(math.log(q.number)) < (SHARPER if "omega" in q.of else LARGER) for q in scales):
         return False
-    return r.kind not in LEAST or r.kind == SCALE or abs(r.number) >= LEAST[r.kind]
+    return r.kind not in LEAST or r.kind == Kind.SCALE or abs(r.number) >= LEAST[r.kind]
 
 
 LARGER = 0.2  # Least logarithm of a scale that is named: wheels are wrong by less, and `--calibrate` finds that
 WILD = math.log(10.0)  # One of two readings that is a larger scale takes its part away, so that little is left to fit
 SHARPER = 0.5  # That of turns: a constant rate of 0.1 rad/s in a log of one circle is a scale of 1.26 as well
-LEAST = {CLOCK: 0.03, TURNED: 10.0, SCALE: LARGER, PLACED: 0.1}  # Least s, deg, logarithms of scales and m
+LEAST = {Kind.CLOCK: 0.03, Kind.TURNED: 10.0, Kind.SCALE: LARGER, Kind.PLACED: 0.1}  # s, deg, logarithm, m
 SIZE, NAMES, ROWS = "size", "names", "rows"
 BRISK, SPEED, CRAWL, SLOW = 5.0, 50.0, 200.0, 0.05
 """Median speeds [m/s]: below the first lengths may be in m, above the second in cm, above the third in mm; between the
 last and the first another unit may be right, too."""
 CREEP, CLOSE_BY = 5e-3, 0.1  # m/s and m: no robot is slower that sees no farther; lengths are in km
-SMALL_NOISE, INCHES, CENTIMETRES = 30.0, 63.0, 300.0
+INCHES, CENTIMETRES = 63.0, 300.0
 """Multiples of the stated noise by which ranges change otherwise than predicted: above the first lengths are in inches,
 above the second in cm, above the third in mm, as the noise is in m."""
+UNWRAPPED = 3.0 * math.pi  # rad, a direction of half a turn less a heading of one: bearings that were not wrapped
 TURN = FASTEST = 2.0 * math.pi  # rad; rad/s: all recordings and worlds turn at most 1.7 rad in a second
 SHARE = 0.01  # Smallest share of turning seconds above `FASTEST`: a single slip or jump raises no question
 
@@ -501,17 +283,17 @@ def _by_size(x: Examination) -> list[Explained]:
         pull = _sideways(c) if speed > BRISK else 0.0
         quick = c.kind != "velocities" and np.median(np.diff(c.time)) < FAST  # which are the same over any stamps
         slower = quick and SLOW <= speed / 60.0 <= BRISK and GRAVITY < pull < 3600.0 * GRAVITY
-        minutes = _told(UNIT, "everything", SIZE, speed, speed / 60.0, "min", 1.0) if slower else []
+        minutes = _told(Kind.UNIT, "everything", SIZE, speed, speed / 60.0, "min", 1.0) if slower else []
         tiny = 0.0 < speed < CREEP and float(c.z[:, 0].max(initial=0.0)) < CLOSE_BY
         over = _over_noise(c, x.samples) if speed > BRISK or tiny else 1.0
         if tiny:
-            return _told(UNIT, "everything", SIZE, speed, METRES["km"] * speed, "km", over)
+            return _told(Kind.UNIT, "everything", SIZE, speed, METRES["km"] * speed, "km", over)
         if speed > SPEED or over > SMALL_NOISE:
             large = over > CENTIMETRES if over > SMALL_NOISE else speed > CRAWL
             units = ["mm", "cm"] if large else ["cm", "mm"]
             if over > SMALL_NOISE:  # errors of an inch are 39 times as large
                 units.insert(0 if over < INCHES else 2, "in")
-            told = [_told(UNIT, "everything", SIZE, speed, METRES[u] * speed, u, over)[0] for u in units]
+            told = [_told(Kind.UNIT, "everything", SIZE, speed, METRES[u] * speed, u, over)[0] for u in units]
             noise = [1.0 if over == 1.0 else over * METRES[u] for u in units]  # over the stated one
             fine = [SLOW <= e.fits <= BRISK and 0.1 < n < 2.0 for e, n in zip(told, noise, strict=True)]
             minutes *= over <= LEFT  # errors as large as stated are those of metres
@@ -519,13 +301,14 @@ def _by_size(x: Examination) -> list[Explained]:
         if pull > GRAVITY:
             lengths = [(u, METRES[u]) for u in ("cm", "mm", "in")] if over == 1.0 or over > LEFT else []
             lengths = [(u, k) for u, k in lengths if SLOW <= k * speed <= BRISK and k * pull < GRAVITY]
-            return [_told(UNIT, "everything", SIZE, speed, k * speed, u, 1.0)[0] for u, k in lengths] + minutes
+            return [_told(Kind.UNIT, "everything", SIZE, speed, k * speed, u, 1.0)[0] for u, k in lengths] + minutes
         true = np.zeros(1) if c.truth is None else np.nan_to_num(np.diff(c.truth[:, 2]))
         for of, turn in (("omega", c.u[1:, 2]), ("truth.theta", true)):
             if len(turn) == len(c.time) - 1 and (rate := fastest(c.time, turn)):
-                return _told(UNIT, of, SIZE, rate, DEG * rate, "deg/s" if of == "omega" else "deg", 1.0)
+                return _told(Kind.UNIT, of, SIZE, rate, DEG * rate, "deg/s" if of == "omega" else "deg", 1.0)
     largest = float(np.abs(c.z[:, 1]).max(initial=0.0))
-    return _told(UNIT, "bearing", SIZE, largest, DEG * largest, "deg", 1.0) if largest > TURN * (1.0 + 1e-6) else []
+    wide = largest > UNWRAPPED * (1.0 + 1e-6)
+    return _told(Kind.UNIT, "bearing", SIZE, largest, DEG * largest, "deg", 1.0) if wide else []
 
 
 def _minutes(c: Case) -> list[Explained]:
@@ -620,23 +403,24 @@ def _strange(x: Examination) -> list[Explained]:
     if c.names is not None and (strange := float(np.mean(~np.isin(c.id[c.id >= 0], c.names)))) > 0.5:
         for by in c.names[[0, -1]] - [c.id[c.id >= 0].min(), c.id.max()]:
             if any(
-                f is not None and f.off < NEAR for f in witnesses.observations_and_map(_shifted(int(by))(c), x.samples)
+                f is not None and f.off < NEAR for f in witnesses.observations_and_map(shifted(int(by))(c), x.samples)
             ):
-                return _told(SHIFTED, "ids", NAMES, strange, number=float(by), gain=0.0)
-        return _told(STRANGE, "ids of the map", NAMES, strange, gain=0.0)
+                return _told(Kind.SHIFTED, "ids", NAMES, strange, number=float(by), gain=0.0)
+        return _told(Kind.STRANGE, "ids of the map", NAMES, strange, gain=0.0)
     bare = replace(c, id=None)
     plain = Examination(bare, witnesses.samples(bare))
     moves, true, mapped = "observations and odometry", "observations and truth", "observations and map"
+    right = any(f is not None and f.off < NEAR for f in x.said[true])  # which tells ids better than a noisy odometry
     # of the map alone its ids are judged by those that agree as the robot moves
     for of, name, k, others in (
         ("ids", moves, 0, plain.said[moves]), ("ids", true, 0, plain.said[true]),
         ("ids of the map", true, 1, plain.said[true]), ("ids of the map", mapped, 0, x.said[moves]),
     ):  # fmt: skip
         stated, fits = ([*fits, None, None][min(k, len(fits))] for fits in (x.said[name], others))
-        if stated is None or fits is None or stated.off <= max(LEFT * stated.noise, ALIEN):
+        if stated is None or fits is None or stated.off <= max(LEFT * stated.noise, ALIEN) or (right and name == moves):
             continue
         if fits.off < (max(NEAREST, LEFT * fits.noise) if of == "ids" else NEAR):
-            return _told(STRANGE, of, name, stated.off, fits.off, gain=stated.cost - fits.cost)
+            return _told(Kind.STRANGE, of, name, stated.off, fits.off, gain=stated.cost - fits.cost)
     return []
 
 
@@ -649,14 +433,14 @@ def _doubled(x: Examination) -> list[Explained]:
     rows = np.column_stack([c.frame, c.z, c.id if c.id is not None else 0 * c.frame])
     share = 1.0 - len(np.unique(rows, axis=0)) / len(rows) if len(rows) else 0.0
     if share > TWICE:
-        return _told(DOUBLED, OBSERVATIONS, ROWS, share)
+        return _told(Kind.DOUBLED, Part.OBSERVATIONS, ROWS, share)
     rows, order = rows[:, 1:], np.lexsort((c.at, *rows[:, 1:].T))
     same = np.flatnonzero((rows[order[1:]] == rows[order[:-1]]).all(axis=1))
     later = np.round(c.at[order[same + 1]] - c.at[order[same]], 3)
     lag, times = np.unique(later[later > LAPSE], return_counts=True)
     if not len(lag) or (share := float(times.max()) / len(rows)) <= TWICE:
         return []
-    return _told(DOUBLED, OBSERVATIONS, ROWS, share, number=float(lag[times.argmax()]))
+    return _told(Kind.DOUBLED, Part.OBSERVATIONS, ROWS, share, number=float(lag[times.argmax()]))
 
 
 TWICE, LAPSE = 0.1, 5.0
@@ -673,7 +457,7 @@ def _headings(x: Examination, *, explained: bool) -> list[Explained]:
         return []
     heading = c.truth[np.isfinite(c.truth).all(axis=1), 2]
     if np.ptp(np.cos(heading)) <= SAME:
-        return _told(STILL, "truth.theta", witness, fits[1].off)
+        return _told(Kind.STILL, "truth.theta", witness, fits[1].off)
     i, j = x.samples.spans[0]
     a, b = (np.hypot(*(p[j, :2] - p[i, :2]).T) for p in (c.truth, c.odometry))
     known = np.isfinite(a)
@@ -682,7 +466,7 @@ def _headings(x: Examination, *, explained: bool) -> list[Explained]:
     told = LEFT * fits[1].noise < ALIEN < fits[1].off
     if explained or way is None or way.off > NEAR or not told:
         return []
-    return _told(STRANGE, "truth.theta", witness, fits[1].off, way.off, "deg")
+    return _told(Kind.STRANGE, "truth.theta", witness, fits[1].off, way.off, "deg")
 
 
 SAME = 1e-9  # of the cosine of a heading
@@ -707,14 +491,14 @@ def paths_otherwise(
         lie = np.mean(fitted**2) < WELL**2 * np.mean(np.var(other[:, :2], axis=0))
         fast = np.median(np.hypot(*np.diff(other[:, :2], axis=0).T) / np.diff(time)) > SPEED
         wrong = ("deg", "yd", *["km"] * bool(fast))  # a scale of 1.09 is likelier than yards, mm likelier than km
-        some = (r for r in READINGS if r.part == TRUTH and r.of != "truth and map" and r.unit not in wrong)
+        some = (r for r in READINGS if r.part == Part.TRUTH and r.of != "truth and map" and r.unit not in wrong)
         singles = [x.judged(r) for r in some if r.of == "truth.theta" or not lie]
         if (headings := raw[k]) is not None and np.std(headings) > TURNS_ABOUT:
             degrees = np.column_stack([own[:, :2], DEG * headings])
-            singles.append(x.judged(Reading(UNIT, "truth.theta", lambda c, d=degrees: replace(c, truth=d), "deg")))  # type: ignore[misc]
+            singles.append(x.judged(Reading(Kind.UNIT, "truth.theta", lambda c, d=degrees: replace(c, truth=d), "deg")))  # type: ignore[misc]
         plain += [(k, e) for e in singles if accepted(e) and (e.stated > WELL or e.fits < EXACTLY * e.stated)]
         if all(e.fits > WELL for _, e in plain):
-            scaled, turned = x.scaled(TRUTH), x.searched(TURNED, "truth.theta", _heading_off, TURNS)
+            scaled, turned = x.scaled(Part.TRUTH), x.searched(Kind.TURNED, "truth.theta", heading_off, TURNS)
             best = [scaled, *([turned] if abs(turned.readings[0].number) > MOUNTED else [])]
             numbered += [(k, e) for e in best if accepted(e) and e.stated > WELL]
             exactly = scaled.gain > CLEAR and scaled.stated > SLIGHT and scaled.fits < EXACTLY * scaled.stated
@@ -761,7 +545,7 @@ def _order(x: Examination) -> list[Explained]:
                 continue
             size, gain, before, after = _share(as_stated[0], otherwise[0], *as_stated[2:])
             if gain > clear and abs(size - 1.0) < RIGHT_SIZE and (after <= PLAIN * before or c.truth is None):
-                found += _told(ORDER, "omega", witness, before, after, name, gain=gain)
+                found += _told(Kind.ORDER, "omega", witness, before, after, name, gain=gain)
     return sorted(found, key=lambda e: -e.gain)[:1]
 
 
@@ -802,7 +586,7 @@ def _share(
     return size, 0.5 * (before - after) / max(after / len(along), 1.0), before, after
 
 
-TINY, SURE = 1e-6, 3.0  # m, least standard deviation of a motion; sigmas from which on a step's turn is no noise
+SURE = 3.0  # Sigmas from which on a step's turn is no noise
 
 
 def explanations(c: Case, *, whole: bool = True) -> list[Explained]:
@@ -816,7 +600,7 @@ def explanations(c: Case, *, whole: bool = True) -> list[Explained]:
     if (twice := _doubled(x)) or x.sound:
         return twice or _by_size(x) or (_strange(x) if c.names is not None else []) or _order(x)
     spins = bool(fastest(c.time, c.u[1:, 2]))
-    straight = x.judged(Reading(SCALE, "omega", _turning(0.0))).gain
+    straight = x.judged(Reading(Kind.SCALE, "omega", turning(0.0))).gain
     # where no turn at all fits as well, something else is wrong
     singles = [e for e in x.plain() if spins or not _of_turns(e) or straight < e.gain - max(2.0, CLOSE * e.gain)]
     singles = sorted(singles, key=lambda e: -e.gain)
@@ -826,22 +610,22 @@ def explanations(c: Case, *, whole: bool = True) -> list[Explained]:
     if spins:  # between frames a turn in degrees has hidden the way
         found = [e for e in found if "omega" in e.readings[0].of]
     # bearings in the world use no heading of the truth, as if it were wrong
-    explained = bool(found) and not (found[0].left and found[0].readings[0].kind == WORLD)
+    explained = bool(found) and not (found[0].left and found[0].readings[0].kind == Kind.WORLD)
     other = _headings(x, explained=explained or spins) or ((_by_size(x) or _strange(x)) if not found else [])
     # stamps of another time turn headings otherwise, too, and show other landmarks
-    by_number = bool(other) and other[0].readings[0].kind == STRANGE and other[0].witness != NAMES
-    moved = (e for e in x.numbered() if e.readings[-1].kind in (CLOCK, TURNED))
+    by_number = bool(other) and other[0].readings[0].kind == Kind.STRANGE and other[0].witness != NAMES
+    moved = (e for e in x.numbered() if e.readings[-1].kind in (Kind.CLOCK, Kind.TURNED))
     if other and not (by_number and any(map(accepted, moved))):
         return other
     if not found or found[0].left:
         singles = sorted([*singles, *x.numbered()], key=lambda e: -e.gain)
         found = [e for e in singles if accepted(e)]
-    near = bool(found) and (found[0].readings[0].kind, found[0].readings[0].of) == (CLOCK, OBSERVATIONS)
+    near = bool(found) and (found[0].readings[0].kind, found[0].readings[0].of) == (Kind.CLOCK, Part.OBSERVATIONS)
     if not found or found[0].left or near:  # without ids much fits
-        far = [e for part in (OBSERVATIONS, TRUTH) if (e := x.far_clock(part)) is not None and accepted(e)]
+        far = [e for part in (Part.OBSERVATIONS, Part.TRUTH) if (e := x.far_clock(part)) is not None and accepted(e)]
         found = far if far and (not found or far[0].sharp > found[0].sharp + CLEAR) else found
     seeds = found[:1] or [e for e in singles[:3] if e.gain > CLEAR and _matters(e)]
-    seeds = [e for e in seeds if e.readings[0].kind != SUMMED]  # which is half a frame late
+    seeds = [e for e in seeds if e.readings[0].kind != Kind.SUMMED]  # which is half a frame late
     if not found or found[0].left:
         for e in seeds:
             both = Examination(e.readings[0].change(c), s, e.readings)
@@ -849,21 +633,21 @@ def explanations(c: Case, *, whole: bool = True) -> list[Explained]:
                 found.append(e)
                 break
             for more in (*both.plain(), *both.numbered()):
-                wild = any(r.kind == SCALE and abs(math.log(r.number)) > WILD for r in more.readings)
+                wild = any(r.kind == Kind.SCALE and abs(math.log(r.number)) > WILD for r in more.readings)
                 if accepted(more) and more.readings[0].of != more.readings[1].of and not wild:
                     found.append(replace(more, gain=e.gain + more.gain))
-    if all(e.readings[0].kind == PLACED for e in found) and (order := _order(x)):  # on a circle both are the same
+    if all(e.readings[0].kind == Kind.PLACED for e in found) and (order := _order(x)):  # on a circle both are the same
         return order
     if not found:  # the largest contradiction
         each = [(f.off, n) for n, fits in x.said.items() for f in fits if f is not None and f.off > LEFT**2 * f.noise]
         worst, name = max(each, default=(0.0, ""))
-        return _told(UNKNOWN, ODOMETRY, name, worst, worst) if worst > ALIEN and not by_nearest(c, s) else []
+        return _told(Kind.UNKNOWN, Part.ODOMETRY, name, worst, worst) if worst > ALIEN and not by_nearest(c, s) else []
     best = max(found, key=lambda e: e.gain)
     equal = [e for e in found if _as_well(e, best) and len(e.readings) == len(best.readings)]
-    scales = [e.readings[-1] for e in equal if e.readings[-1].kind == SCALE]
+    scales = [e.readings[-1] for e in equal if e.readings[-1].kind == Kind.SCALE]
     # a number near that of a unit is that unit's
-    plain = list({(r.kind, r.of, r.unit): e for e in equal if (r := e.readings[-1]).kind != SCALE}.values())
-    for e in (e for e in singles if e not in plain and e.readings[-1].kind == UNIT):
+    plain = list({(r.kind, r.of, r.unit): e for e in equal if (r := e.readings[-1]).kind != Kind.SCALE}.values())
+    for e in (e for e in singles if e not in plain and e.readings[-1].kind == Kind.UNIT):
         of, size = e.readings[-1].of, SIZES.get(e.readings[-1].unit, math.inf)
         # of two parts alone a large number is known less well; units are ten times another
         off = [(abs(math.log(s.number * size)), 0.16 * abs(math.log(s.number))) for s in scales if of in s.of]
@@ -878,7 +662,7 @@ def explanations(c: Case, *, whole: bool = True) -> list[Explained]:
 
 
 def _of_turns(e: Explained) -> bool:
-    return e.readings[-1].kind == UNIT and e.readings[-1].of == "omega"
+    return e.readings[-1].kind == Kind.UNIT and e.readings[-1].of == "omega"
 
 
 def _in_part(c: Case) -> list[Explained]:
@@ -939,8 +723,8 @@ def contradictions(log: Log) -> list[Notice]:
 def _of_rows(r: Reading, log: Log) -> Reading:
     """Velocities that are as many times as large as a row is long [s]: motions of a row."""
     period = float(cast("float", log.source.get(ODOMETRY_PERIOD, math.inf)))
-    near = r.kind == SCALE and r.of == "v and omega" and abs(math.log(r.number / period)) < ROW
-    return replace(r, kind=SUMMED, unit="row", number=period) if near else r
+    near = r.kind == Kind.SCALE and r.of == "v and omega" and abs(math.log(r.number / period)) < ROW
+    return replace(r, kind=Kind.SUMMED, unit="row", number=period) if near else r
 
 
 ROW = 0.05  # Largest difference of logarithms
@@ -948,102 +732,9 @@ ROW = 0.05  # Largest difference of logarithms
 
 def _held(r: Reading, log: Log) -> tuple[Reading, ...]:
     """Velocities that hold the other way, which explain what a clock does that is off by one of their periods."""
-    source, late = log.source, r.number if r.of == ODOMETRY else -r.number if r.of == OBSERVATIONS else 0.0
+    source, late = log.source, r.number if r.of == Part.ODOMETRY else -r.number if r.of == Part.OBSERVATIONS else 0.0
     way, other, sign = ("backward", "forward", -1.0) if "hold" in source else ("forward", "backward", 1.0)
     period = float(cast("float", source.get(ODOMETRY_PERIOD, math.inf)))
-    same = r.kind == CLOCK and source.get(ODOMETRY_KIND) == "velocities" and abs(sign * late - period) < 0.3 * period
-    return (Reading(HOLD, way, lambda c: c, other),) if same else ()
-
-
-QUANTITIES = {
-    "velocities": ("odometry.v", "odometry.omega"),
-    "poses": ("odometry.x,odometry.y", "odometry.theta"),
-    "steps": ("odometry.dx,odometry.dy", "odometry.dtheta"),
-}
-"""Columns of lengths and of angles of each kind of odometry in tables."""
-
-
-def as_pose(pose: Array, metres: str = "") -> str:
-    """A pose (3,) as flags read it; `metres`: unit of lengths."""
-    return f"{pose[0]:.6g}{metres},{pose[1]:.6g}{metres},{math.degrees(pose[2]):.6g}deg"
-
-
-def metres_of(log: Log) -> str:
-    """The unit that lengths of flags need: m, where the command that converted a log states another one."""
-    return "m" if _given(log, "unit").get("length", "m") != "m" else ""
-
-
-def flags_of(r: Reading, log: Log) -> tuple[str, ...]:
-    """The flags of `slamref convert table` by which a log is read that way; none where no flag does."""
-    kind = str(log.source.get(ODOMETRY_KIND, "velocities"))
-    lengths, angles = QUANTITIES.get(kind, QUANTITIES["velocities"])
-    cartesian = log.recorded.sensor.kind == RELATIVE_POINT
-    ranges = "observations.x,observations.y" if cartesian else "observations.range"
-    bearings = "observations.y" if cartesian else "observations.bearing"
-    columns = {
-        "v": lengths, "omega": angles, "range": ranges, "bearing": bearings,
-        MAP: "map.x,map.y", TRUTH: "truth.x,truth.y", "stamps of observations": "observations.t",
-        **{key: key for key in ("map.x", "map.y", "truth.x", "truth.y", "truth.theta")},
-        "bearing and omega": f"{angles},{bearings}", "truth and map": "truth.y,truth.theta,map.y",
-        "truth's mirror": "truth.y,truth.theta", "v and omega": "odometry.v,odometry.omega",
-        "range and bearing": "observations.range,observations.bearing", "x and y of the map": "map.x,map.y",
-        "x and y of the truth": "truth.x,truth.y",
-    }  # fmt: skip
-    if r.of == "everything" and r.unit == "min":
-        return ("--unit time=min",)
-    if r.of == "everything" and 1.0 / SMALL_NOISE < r.number <= SMALL_NOISE:
-        return (f"--unit length={r.unit}",)
-    if r.of == "everything":  # but the lengths of flags, which `length` is of, too
-        placed = cartesian or log.recorded.map is not None or log.truth.pose is not None
-        way = [key.partition(".")[2] for key in lengths.split(",")]
-        keyed = dict.fromkeys([*way, *["range"] * (not cartesian), *["x", "y"] * placed])
-        return ("--unit " + ",".join(f"{key}={r.unit}{'/s' * (key == 'v')}" for key in keyed),)
-    keys = ["time"] if r.unit == "min" and r.of == "v and omega" else columns.get(r.of, "").split(",")
-    if r.kind in (UNIT, SIDE) or r.unit == "row" or (r.kind == STRANGE and r.unit):
-        pairs = [f"{key}={_unit(log, key, r)}" for key in keys]
-        return ("--unit " + ",".join(pairs),)
-    if r.kind == FRAME:
-        before = np.array(log.source.get(TRUTH_POSE, np.zeros(3)), float)
-        return (f"--truth-transform={as_pose(compose(np.array(r.carry), before), metres_of(log))}",)
-    given = _given(log, "columns")
-    if r.kind == STILL:
-        named = [given.get(f"truth.{k}", given.get(k, k)) for k in ("qx", "qy", "qz", "qw")]
-        rolled = zip(("qw", "qx", "qy", "qz"), named, strict=True)
-        return ("--columns " + ",".join(f"truth.{k}={name}" for k, name in rolled),)
-    if r.kind == EXCHANGED:
-        a, b = keys
-        names = [given.get(key, given.get(key.partition(".")[2], key.partition(".")[2])) for key in (a, b)]
-        return (f"--columns {a}={names[1]},{b}={names[0]}", *[f"--unit {b}={r.unit}"] * bool(r.unit))
-    if r.kind in (ORDER, HOLD):
-        return (f"--{'integrate' if r.kind == ORDER else 'hold'} {r.unit}",)
-    if r.kind == CLOCK:
-        added = float(_given(log, "time_offset").get(r.of, 0.0))
-        return (f"--time-offset {r.of}={added - r.number:.6g}",)
-    if r.of == "place of the sensor":
-        return (f"--sensor-pose={as_pose(np.array(r.carry), metres_of(log))}",)
-    if r.kind == TURNED and r.of == "sensor":
-        s = log.recorded.sensor
-        pose = inverse(np.array([*s.translation, s.rotation])) + 0.0
-        pose[2] = wrap_angle(float(pose[2]) + DEG * r.number)
-        return (f"--sensor-pose={as_pose(pose, metres_of(log))}",)
-    return ()
-
-
-def _given(log: Log, key: str) -> Mapping[str, str]:
-    """Pairs that were stated when the log was made, by key."""
-    found = log.source.get(key)
-    return {str(k): str(v) for k, v in found.items()} if isinstance(found, Mapping) else {}
-
-
-def _unit(log: Log, key: str, r: Reading) -> str:
-    """The unit of a column as it is read otherwise."""
-    given, name = _given(log, "unit"), key.partition(".")[2]
-    angle = name in ("omega", "bearing", "theta", "dtheta")
-    plain = ("rad" if angle else "m") + ("/s" if name in ("v", "omega") else "")
-    unit = given.get(key, given.get(name, given.get("angle" if angle else "length", plain)))
-    unit += "/s" if name in ("v", "omega") and "/" not in unit else ""
-    if r.kind == SUMMED:
-        return f"{unit.partition('/')[0]}/{r.number:.6g}s"
-    if r.kind == SIDE:
-        return unit.removeprefix("-") if unit.startswith("-") else f"-{unit}"
-    return r.unit.removesuffix("/s") + ("/s" if r.unit.endswith("/s") and name in ("v", "omega") else "")
+    same = r.kind == Kind.CLOCK and abs(sign * late - period) < 0.3 * period
+    held = same and source.get(ODOMETRY_KIND) == "velocities"
+    return (Reading(Kind.HOLD, way, lambda c: c, other),) if held else ()

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,11 @@ from matplotlib.transforms import ScaledTranslation
 
 from data.result import Run
 from eval.figures import kinds
-from eval.figures.style import NARROW, drawing, page_width, points, style_of
+from eval.figures.style import NARROW, drawing, finish, page_width, points, style_of
 from eval.referee.confusion import Confusion
 from eval.referee.score import Trial, confusion_of
 
+LETTERS = 24  # in a line of a bar's name in a narrow figure
 NUMBER = 22.0  # pt that a number of four digits takes, beside bars in a narrow figure
 OUTCOME_COLOURS = {"tp": "#0072B2", "tn": "#A9CBE3", "fp": "#D55E00", "fn": "#F0E442"}
 """Right is blue, wrong is warm; within each pair one is dark and one is light (Okabe and Ito's, and a tint)."""
@@ -87,7 +89,9 @@ def bars(trial: Trial, variants: Sequence[Trial] = ()) -> list[Bar]:
 @drawing()
 def confusion_figure(title: str, shown: Sequence[Bar]) -> Figure:
     """Stacked bars of observation counts, FP and FN in numbers beside them; same colours in every figure."""
-    fig = Figure(figsize=(page_width(), 1.35 + 0.2 * len(shown)))
+    names = [fill(b.label, LETTERS) if page_width() < NARROW else b.label for b in shown]
+    height = 0.2 + 0.12 * max((n.count("\n") for n in names), default=0)
+    fig = Figure(figsize=(page_width(), 1.35 + height * len(shown)))
     ax = fig.add_subplot()
     rows = np.arange(len(shown))
     left = np.zeros(len(shown))
@@ -96,15 +100,14 @@ def confusion_figure(title: str, shown: Sequence[Bar]) -> Figure:
         width = np.array([b.length(part.key) for b in shown], float)
         ax.barh(rows, width, left=left, height=0.74, **part.look)
         left += width
-    ax.set_yticks(rows, [b.label for b in shown])
+    ax.set_yticks(rows, names)
     ax.set_ylim(len(shown) - 0.5, -0.5)
     ax.set_xlim(0.0, max(float(left.max(initial=0.0)), 1.0))
     ax.grid(axis="y", visible=False)
     ax.tick_params(axis="y", length=0)
     ax.set_xlabel("observations [–]")
     _numbers(ax, shown)
-    ax.set_title(title, loc="left")
-    fig.legend(handles=[Patch(label=p.label, **p.look) for p in present], loc="outside lower center", ncols=3)
+    finish(fig, title, [Patch(label=p.label, **p.look) for p in present], columns=3)
     return fig
 
 

@@ -15,7 +15,7 @@ from data.log import Log
 from data.motion.systematic import corrected_inputs
 from data.notice import Code, Notice, notice
 from data.questions.asked import conventions
-from data.questions.examination import ORDER
+from data.questions.readings import Kind
 from data.questions.witnesses import BY_TRUTH
 from data.result import Run
 from data.se2 import Array, BoolArray
@@ -257,7 +257,7 @@ def _blame(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> Blame:
 
 def contradicted(log: Log) -> tuple[Notice, ...]:
     """How the log contradicts itself; an order of turn and way that observations tell competes with explanations."""
-    return tuple(n for n in conventions(log) if n.named.get("kinds") != (ORDER,) or n.named["witness"] == BY_TRUTH)
+    return tuple(n for n in conventions(log) if n.named.get("kinds") != (Kind.ORDER,) or n.named["witness"] == BY_TRUTH)
 
 
 def _head_first(findings: Sequence[Finding], indicated: Finding | None) -> list[Finding]:

@@ -16,7 +16,7 @@ import slamref
 from data.convert.__main__ import main as convert
 from data.formats.open_log import load_folder
 from data.log import Log
-from data.questions import examination as ex
+from data.questions import readings as ex
 from data.questions.witnesses import Case, case_of
 from data.se2 import wrap_angle
 from eval.example import main as example
@@ -38,33 +38,33 @@ def _ids(of: Callable[[np.ndarray], np.ndarray]) -> Change:
 
 MISTAKES: tuple[tuple[str, str, Change, tuple[str, str, str]], ...] = (
     ("none", "seen", lambda c: c, ("", "", "")),
-    ("v in km/h", "seen", ex._faster(3.6), ("unit", "v", "km/h")),
-    ("v in mm/s", "seen", ex._faster(1e3), ("unit", "v", "mm/s")),
-    ("turns in degrees", "seen", ex._turning(1 / DEG), ("unit", "omega", "deg/s")),
-    ("turns the other way", "seen", ex._turning(-1.0), ("side", "omega", "")),
-    ("v backward", "seen", ex._faster(-1.0), ("side", "v", "")),
+    ("v in km/h", "seen", ex.faster(3.6), ("unit", "v", "km/h")),
+    ("v in mm/s", "seen", ex.faster(1e3), ("unit", "v", "mm/s")),
+    ("turns in degrees", "seen", ex.turning(1 / DEG), ("unit", "omega", "deg/s")),
+    ("turns the other way", "seen", ex.turning(-1.0), ("side", "omega", "")),
+    ("v backward", "seen", ex.faster(-1.0), ("side", "v", "")),
     ("v and omega exchanged", "seen", lambda c: replace(c, u=ex.se2.along_arcs(*ex._arcs(c)[::-1])),
      ("exchanged", "v and omega", "")),
-    ("ranges in cm", "seen", ex._seen(100.0, 1.0), ("unit", "range", "cm")),
-    ("ranges in ft", "seen", ex._seen(1 / 0.3048, 1.0), ("unit", "range", "ft")),
-    ("bearings in degrees", "seen", ex._seen(1.0, 1 / DEG), ("unit", "bearing", "deg")),
-    ("bearings clockwise", "seen", ex._seen(1.0, -1.0), ("side", "bearing", "")),
+    ("ranges in cm", "seen", ex.seen_as(100.0, 1.0), ("unit", "range", "cm")),
+    ("ranges in ft", "seen", ex.seen_as(1 / 0.3048, 1.0), ("unit", "range", "ft")),
+    ("bearings in degrees", "seen", ex.seen_as(1.0, 1 / DEG), ("unit", "bearing", "deg")),
+    ("bearings clockwise", "seen", ex.seen_as(1.0, -1.0), ("side", "bearing", "")),
     ("range and bearing exchanged", "seen", ex._swapped, ("exchanged", "range and bearing", "")),
     ("bearings in the world", "seen", _in_the_world, ("world", "bearing", "")),
-    ("sensor turned by 90 deg", "seen", ex._turned_by(-90.0), ("turned", "sensor", "")),
-    *((f"observations {s} s late", "seen", ex._late("observations", -s), ("clock", "observations", ""))
+    ("sensor turned by 90 deg", "seen", ex.turned_by(-90.0), ("turned", "sensor", "")),
+    *((f"observations {s} s late", "seen", ex.late_by("observations", -s), ("clock", "observations", ""))
       for s in (0.3, 1.0, 20.0)),
     ("random ids", "ids", _ids(lambda i: np.random.default_rng(0).permutation(i)), ("strange", "ids", "")),
     ("ids one more", "ids of the map", _ids(lambda i: np.where(i >= 0, i + 1, i)), ("shifted", "ids", "")),
-    ("map in cm", "map", ex._on_map(100.0 * np.eye(2)), ("unit", "map", "cm")),
-    ("y of the map the other way", "map", ex._on_map(np.diag([1.0, -1.0])), ("side", "map.y", "")),
-    ("x and y of the map exchanged", "map", ex._on_map(np.eye(2)[::-1]), ("exchanged", "x and y of the map", "")),
-    ("truth in cm", "truth", ex._truly(lambda p: p * [1e2, 1e2, 1.0]), ("unit", "truth", "cm")),
-    ("truth in degrees", "truth", ex._truly(lambda p: p * [1, 1, 1 / DEG]), ("", "truth.theta", "")),
-    ("y of the truth the other way", "truth", ex._truly(lambda p: p * [1, -1, 1]), ("side", "truth.y", "")),
-    ("x and y of the truth exchanged", "truth", ex._truly(lambda p: p[:, [1, 0, 2]]),
+    ("map in cm", "map", ex.on_map(100.0 * np.eye(2)), ("unit", "map", "cm")),
+    ("y of the map the other way", "map", ex.on_map(np.diag([1.0, -1.0])), ("side", "map.y", "")),
+    ("x and y of the map exchanged", "map", ex.on_map(np.eye(2)[::-1]), ("exchanged", "x and y of the map", "")),
+    ("truth in cm", "truth", ex.truly(lambda p: p * [1e2, 1e2, 1.0]), ("unit", "truth", "cm")),
+    ("truth in degrees", "truth", ex.truly(lambda p: p * [1, 1, 1 / DEG]), ("", "truth.theta", "")),
+    ("y of the truth the other way", "truth", ex.truly(lambda p: p * [1, -1, 1]), ("side", "truth.y", "")),
+    ("x and y of the truth exchanged", "truth", ex.truly(lambda p: p[:, [1, 0, 2]]),
      ("exchanged", "x and y of the truth", "")),
-    ("truth 0.5 s late", "truth", ex._late("truth", -0.5), ("clock", "truth", "")),
+    ("truth 0.5 s late", "truth", ex.late_by("truth", -0.5), ("clock", "truth", "")),
 )  # fmt: skip
 """What is wrong, the part that a log needs for it, the change; kind, quantity and unit of what mends it."""
 

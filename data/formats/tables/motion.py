@@ -5,7 +5,7 @@ A second one becomes closures between successive frames (`--second-odometry FILE
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -80,9 +80,7 @@ class Odometry:
         return told(self.time) if self.velocities else (float(self.time[0]), float(self.time[-1]))
 
     def held_backward(self) -> Odometry:
-        """Velocities as samples that hold until the next one, from rows that held since the row before. The last one
-        holds on; the first row's precede the log.
-        """
+        """Velocities that hold until the next sample, from rows that held since the one before; the last holds on."""
         return replace(self, motion=np.concatenate([self.motion[1:], self.motion[-1:]]))
 
     def since(self, begin: float) -> Odometry:
@@ -145,9 +143,7 @@ def pose_columns(file: TextTable, columns: Columns, role: str) -> tuple[str, ...
 def read_odometry(
     file: TextTable, columns: Columns, kind: str, wheels: Wheels | None, role: str = "odometry", between: bool = False
 ) -> Odometry:
-    """The odometry of a file, of K steps `between` K + 1 poses; DataError for missing or invalid columns, UsageError
-    for ticks without wheels.
-    """
+    """The odometry of a file, of K steps `between` K + 1 poses; DataError if invalid, UsageError without wheels."""
     quantities = pose_columns(file, columns, role) if kind == "poses" else KINDS[kind]
     if kind == "steps" and columns.find(file, role, "dy") is None:
         columns.notes.append(f"{file.path.name}: assumed: steps have no dy, so the robot moves ahead alone")
@@ -212,6 +208,25 @@ def read_odometry(
         assert wheels is not None  # of ticks they are stated
         pose = _rolled(table.stack(KINDS["ticks"]), wheels, time)
     return Odometry(table, time, stamped, pose, instants)
+
+
+def path_of(texts: Mapping[str, TextTable], columns: Columns, kind: str) -> tuple[Array, Array] | None:
+    """Stamps (K,) [s] and poses (K, 3) of a truth, else of an odometry; None without stamps, or of wheels and cars."""
+    units = replace(columns.units, given=dict(columns.units.given))
+    quiet = replace(columns, units=units, notes=[], asked=[], datum=[], origins={}, read=set())
+    if "truth" in texts and quiet.has(texts["truth"], "truth", wants := ("t", "x", "y", "theta")):
+        values = quiet.table(texts["truth"], "truth", wants, may_be_blank=wants[1:])[0].stack(wants)
+        values = values[np.isfinite(values).all(axis=1)]
+        if len(values) > 1:
+            return values[:, 0], quiet.turned(texts["truth"], "truth", values[:, 0], values[:, 1:])
+    if kind in ("ticks", "car") or quiet.find(texts["odometry"], "odometry", "t") is None:
+        return None
+    odometry = read_odometry(texts["odometry"], quiet, kind, None)
+    if not odometry.velocities:
+        return odometry.time, odometry.motion
+    way, turn = odometry.motion[:-1].T * np.diff(odometry.time)
+    steps = np.concatenate([np.zeros((1, 3)), se2.along_arcs(way, turn)])
+    return odometry.time, se2.dead_reckoned(np.zeros(3), steps)
 
 
 def _rolled(ticks: Array, wheels: Wheels, time: Array) -> Array:

@@ -20,7 +20,6 @@ from data.columns.appearance import Noise
 from data.csv_table import is_name
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.recordings.laser import TravelNoise
-from data.formats.results.reading import only_reading
 from data.formats.tables import files as table_files
 from data.formats.tables.files import (
     IDS,
@@ -36,7 +35,8 @@ from data.formats.tables.files import (
     Units,
 )
 from data.formats.tables.files import stars as stars_of
-from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of
+from data.formats.tables.layout import by_layout, seen_by_layout
+from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of, path_of
 from data.formats.tables.motion import STAMPED as STAMPED_KINDS
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise
 from data.origin import Origin, Origins
@@ -258,9 +258,7 @@ TABLES = ("columns", "unit", "time-offset")  # Flags of pairs KEY=VALUE, tables 
 
 
 def with_mapping(path: Path, given: Given, keys: Sequence[str]) -> dict[str, object]:
-    """The flags and the keys of a mapping file, whose paths are relative to it; flags win. DataError for an invalid
-    file.
-    """
+    """The flags and the keys of a mapping file (paths relative to it); flags win. DataError for an invalid file."""
     merged: dict[str, Any] = {}
     stated: dict[str, Any] = load_toml(path, lambda what: DataError.at(path, what))
     for key, value in stated.items():
@@ -337,6 +335,17 @@ def settle(given: Given) -> Wanted:
     read = {path: table_files.read_text(path) for path in dict.fromkeys(files.values())}
     texts = {role: read[path] for role, path in files.items()}
     columns.notes += [f"{path.name}: {table.cut}" for path, table in read.items() if table.cut]
+    unnamed = [r for r in texts if not {k.rpartition(".")[0] for k in named} & {"", r}]
+    for role in ("odometry", "truth", "map"):
+        if role in unnamed and (layout := by_layout(texts[role], role)) is not None:
+            texts[role], told = layout
+            columns.notes.append(f"{files[role].name}: inferred: {told}")
+    kind = _kind(given, texts, columns, "odometry", tuple(KINDS))
+    for role in (r for r in unnamed if r in (OBSERVATIONS, *several)):
+        if (found := seen_by_layout(texts[role], lambda: path_of(texts, columns, kind))) is not None:
+            texts[role], told, of = found
+            units.given.update({f"{role}.{q}": unit for q, unit in of.items()})
+            columns.notes.append(f"{files[role].name}: inferred: {told}, as which alone landmarks stand still")
     for role in (OBSERVATIONS, *several):
         stated = {q: named.get(f"{role}.{q}", named.get(q, "")) for q in (*STARRED, *IDS)}
         stars = {q: n for q, n in stated.items() if "*" in n}
@@ -348,13 +357,6 @@ def settle(given: Given) -> Wanted:
                 told = "filled from the left, so they are no labels (--columns label=NAME* names some)"
                 columns.notes.append(f"inferred: columns {', '.join(stars.values())} are {told}")
             columns.given = {k: n for k, n in columns.given.items() if n not in stars.values()}
-    if not texts["odometry"].named and not any(k.rpartition(".")[0] in ("", "odometry") for k in columns.given):
-        read_as = {q.replace("yaw", "theta"): n for q, n in only_reading(texts["odometry"].rows).items()}
-        if "theta" in read_as:
-            columns.given = {**columns.given, **{f"odometry.{q}": n for q, n in read_as.items()}}
-            told = ",".join(f"odometry.{q}={n}" for q, n in read_as.items())
-            columns.notes.append(f"inferred: --columns {told}, as which alone headings follow the motion")
-    kind = _kind(given, texts, columns, "odometry", tuple(KINDS))
     for flag in ("hold", "integrate"):
         if flag in given and kind not in STAMPED_KINDS:
             raise UsageError(f"--{flag} {given[flag]}: for velocities; the odometry has {kind}")

@@ -32,7 +32,8 @@ from data.formats.results.path import (
 )
 from data.formats.results.space import flattened, translation_first
 from data.notice import Code, Notice, notice
-from data.questions.examination import LEAST, PLACED, SCALE, SIDE, UNIT, heading_unit, paths_otherwise
+from data.questions.examination import LEAST, heading_unit, paths_otherwise
+from data.questions.readings import Kind
 from data.se2 import Array, BoolArray, compose, interpolate, rigid_fit
 from data.timeline import truth_at
 from data.truth_windows import leaps
@@ -301,7 +302,7 @@ def _otherwise(pair: Pair, known: BoolArray, placed: BoolArray) -> Iterator[Noti
     if found is not None:
         k, e = found
         r = e.readings[0]
-        flag = f"--unit NAME={r.unit}" if r.kind == UNIT else "--align sim3" if r.kind == SCALE else ""
+        flag = f"--unit NAME={r.unit}" if r.kind == Kind.UNIT else "--align sim3" if r.kind == Kind.SCALE else ""
         yield notice(
             Code.PATH_READING, file=files[k][1].file, kind=r.kind, of=r.of, unit=r.unit, number=r.number,
             stated=e.stated, fits=e.fits, flags=(flag,) if flag else (),
@@ -321,7 +322,7 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         return
     mirrored, (far, placed) = rms(aligned_distance(ours[:, :2] * [1, -1], theirs[:, :2])), _displaced(ours, theirs)
     if OTHER_FRAME * mirrored < fitted and fitted > FITS * size:  # where the robot hardly turns
-        yield _reading(pair, SIDE, "truth's mirror", fitted / size, mirrored / size)
+        yield _reading(pair, Kind.SIDE, "truth's mirror", fitted / size, mirrored / size)
         return
     times, path, there, truth = time, ours, time, theirs
     if pair.truth is not None and not pair.aligned:  # all of both, not what their stamps match
@@ -341,15 +342,15 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         own = path[inside]
         aligned = rms(aligned_distance(own[:, :2], at[:, :2]))
         if not by_speed or aligned < LATE * rms(aligned_distance(own[:, :2], theirs[inside, :2])):
-            if far > LEAST[PLACED] and placed < LATE * aligned:
-                yield _reading(pair, PLACED, "truth", fitted / size, placed / size, far)
+            if far > LEAST[Kind.PLACED] and placed < LATE * aligned:
+                yield _reading(pair, Kind.PLACED, "truth", fitted / size, placed / size, far)
                 return
             flags = (f"--time-offset NAME={round(seconds, 3):.9g}",)
             yield notice(Code.PATH_CLOCK, file=pair.estimate.file, stated=fitted, fits=aligned, flags=flags)
             ours, theirs, fitted = own, at, aligned
             direct = rms(np.hypot(*(ours - theirs)[:, :2].T))
-    elif far > LEAST[PLACED] and placed < LATE * fitted:
-        yield _reading(pair, PLACED, "truth", fitted / size, placed / size, far)
+    elif far > LEAST[Kind.PLACED] and placed < LATE * fitted:
+        yield _reading(pair, Kind.PLACED, "truth", fitted / size, placed / size, far)
         return
     covariance = pair.estimate.covariance
     mean = math.nan

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from eval.figures.association import OUTCOME_COLOURS, bars, confusion_figure
+from eval.figures.figure_style import PHONE, USUAL, figure_style
 from eval.figures.growth import closing_frame, growth_figure
+from eval.figures.style import settle
 from eval.referee.score import Trial
 from tests.eval.figures.looks import SEEN_BY, lab, within
 from tests.eval.handmade import circle_log, run_with_error
@@ -82,6 +84,16 @@ def test_nothing_is_cut_or_covered_by_the_legend(kind, runs):
         box = legend.get_window_extent()
         assert within(box, fig.bbox)
         assert not any(box.overlaps(ax.get_tightbbox()) for ax in fig.axes)
+
+
+def test_on_a_phone_long_names_leave_room_for_the_bars():
+    """Seen: the bars of four estimators with equal decisions had no width, and their names were cut."""
+    alike = [lab_run(LOG, "known", estimator=e) for e in ("ekf", "isam2", "batch", "ekf-iterated")]
+    with figure_style(replace(USUAL, width=PHONE)):
+        fig = confusion_figure("decisions", bars(trial(*alike)))
+        settle(fig)
+    assert within(fig.axes[0].get_tightbbox(), fig.bbox)
+    assert fig.axes[0].get_window_extent().width > 0.3 * fig.bbox.width
 
 
 def test_a_loop_is_closed_when_a_landmark_is_seen_after_a_good_part_of_the_run():

@@ -65,6 +65,41 @@ def test_poses_without_names_are_read_as_headings_follow_the_motion(converted):
     np.testing.assert_allclose(log.recorded.increments.mean[1:30, 2], np.diff(POSE[::10, 2]), atol=1e-6)
 
 
+@pytest.mark.parametrize("order", [["label", "range", "bearing"], ["bearing", "label", "range"], ["label", "y", "x"]])
+def test_observations_without_names_are_read_as_landmarks_stand_still(convert, order):
+    """Ids are whole numbers; ranges and bearings, or points with y to the right, are told by the motion."""
+    at = np.repeat(np.arange(0, 300, 10), 4)
+    off = np.tile(PLACES, (30, 1)) - POSE[at, :2]
+    distance, bearing = np.hypot(*off.T), wrap_angle(np.arctan2(off[:, 1], off[:, 0]) - POSE[at, 2])
+    of = {"label": np.tile(range(4), 30), "range": distance, "bearing": bearing}
+    of |= {"x": distance * np.cos(bearing), "y": -distance * np.sin(bearing)}
+    seen = np.column_stack([T[at], *(of[q] for q in order)])
+    files = {"o.csv": np.column_stack([T, V, OMEGA]), "z.csv": seen, "wide.csv": np.hstack([seen[::4], seen[1::4, 1:]])}
+    files = {name: text("", values).lstrip() for name, values in files.items()}
+    log, said = convert(files, "table", "o.csv", "out", "--observations", "z.csv")
+    assert f"inferred: its columns are t, {', '.join(order)}" in said
+    assert "inferred: --columns odometry.t=1,odometry.v=2,odometry.omega=3" in said
+    assert "warning" not in said
+    z = log.recorded.observations.z
+    np.testing.assert_allclose(
+        z, np.column_stack([of["x"], -of["y"]] if "x" in order else [distance, bearing]), atol=1e-6
+    )
+    if "range" in order:
+        log, said = convert(files, "table", "o.csv", "out", "--observations", "wide.csv")
+        assert (len(log.recorded.observations.z), log.label.tolist()) == (60, [0, 1] * 30)
+
+
+def test_observations_that_two_readings_explain_are_not_read(convert):
+    """The robot stands still, so that every reading keeps the landmarks in one place."""
+    seen = np.column_stack(
+        [T, np.arange(300) % 4, np.tile([3.0, 4.0, 5.0, 6.0], 75), np.tile([0.1, -0.2, 0.3, 0.4], 75)]
+    )
+    files = {"o.csv": text("t,v,omega", T, 0 * T, 0 * T), "z.csv": text("", seen).lstrip()}
+    assert "no observations: columns 1 to 4" in convert(
+        files, "table", "o.csv", "out", "--observations", "z.csv", status=2
+    )
+
+
 def test_steps_without_a_sideways_motion(converted):
     way = np.hypot(*np.diff(POSE[:, :2], axis=0, prepend=POSE[:1, :2]).T)
     log, said = converted(text("time,d,delta_theta", T, way, np.diff(THETA, prepend=0.0)))
@@ -82,6 +117,11 @@ def test_fixes_tell_the_start_and_files_side_by_side_are_one_table(convert):
     assert "unknown start" in convert(*table, "--fix-sigma", "4,4", status=2)  # the way is too short
     log, said = convert(*table, "--fix-sigma", "5cm,5cm")
     assert log.recorded.prior.mean == pytest.approx([5.0, -3.0, 0.7], abs=0.05)
+    sure = np.sqrt(log.recorded.prior.covariance[2, 2])  # odometry that turns by 20 deg per root of a second drifts
+    unsure = convert(*table, "--fix-sigma", "5cm,5cm", "--odometry-sigma", "5cm,20deg")[0].recorded.prior.covariance[
+        2, 2
+    ]
+    assert 0.17 < sure < 0.2 < np.sqrt(unsure)
     assert (log.origins["prior"], "inferred: --prior=" in said) == (Origin.INFERRED, True)
 
 
@@ -125,3 +165,8 @@ def test_steps_between_poses(convert, names):
     assert log.recorded.observations.frame.tolist() == [0, 299]
     np.testing.assert_allclose(log.recorded.increments.mean[1:], step, atol=1e-9)
     np.testing.assert_allclose(log.truth.pose[:, :2], POSE[:, :2])
+    files["truth.csv"] = text("t,x,y,theta", T[:200], POSE[:200])
+    assert "200 true poses, 300 frames: which belong together?" in convert(files | {
+        "o.csv": text("from_id,to_id,dx,dy,dtheta", np.arange(299), np.arange(1, 300), step)}, "table", "o.csv", "out",
+        "--observations", "seen.csv", "--truth", "truth.csv", "--prior", "truth", "--prior-sigma", "0,0,0", status=2,
+    )  # fmt: skip

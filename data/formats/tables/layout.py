@@ -1,0 +1,118 @@
+"""What columns without names are, by the role of their file: stamps ascend, ids are whole numbers, headings follow the
+motion, and landmarks stand still. A matrix of a `.mat` or `.npz` file is such a table, too.
+"""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from data import se2
+from data.csv_table import is_number
+from data.formats.results.reading import only_reading
+from data.formats.tables.files import TextTable
+from data.se2 import Array
+
+WORDS = {"odometry": ("odo", "control", "input"), "truth": ("tru", "real", "gt")}
+"""Parts of names of matrices, of which one is taken among several that might be a role's."""
+SPANS = (1, 4, 16)  # Observations of a landmark between two that are compared
+CLEAR = 0.7
+"""Largest share of the next reading's spread. By odometry alone 140 of 180 tables of simulated logs were read so, none
+of them wrong; at 1 nine were. By a truth all were right."""
+
+Path = tuple[Array, Array]  # stamps (K,) s and poses (K, 3)
+
+
+def by_layout(file: TextTable, role: str) -> tuple[TextTable, str] | None:
+    """An odometry, truth or map whose columns have names, and the flag that says so; None if none or several may be."""
+    found = [(part, names) for part in _parts(file) if (names := _names(part.rows, role))]
+    if len(found) > 1:
+        found = [f for f in found if any(word in f[0].names[0].lower() for word in WORDS.get(role, ()))]
+    if len(found) != 1:
+        return None
+    part, names = found[0]
+    told = ",".join(f"{role}.{q}={name}" for q, name in zip(names, part.names, strict=True))
+    return replace(part, names=names, named=True), f"--columns {told}"
+
+
+def _parts(file: TextTable) -> list[TextTable]:
+    """The matrices of a file, or a whole file without names; of numbers alone."""
+    matrices: dict[str, list[int]] = {}
+    for column, name in enumerate(file.names):
+        if not file.named or (matched := re.fullmatch(r"(.+)_\d+", name)):
+            matrices.setdefault(matched[1] if file.named and matched else "", []).append(column)
+    parts = []
+    for columns in matrices.values():
+        rows = [tuple(row[c] for c in columns) for row in file.rows]
+        there = [k for k, row in enumerate(rows) if any(row)]  # a longer matrix goes on
+        if all(is_number(field) for k in there for field in rows[k]):
+            names = tuple(file.names[c] for c in columns)
+            parts.append(replace(file, names=names, rows=tuple(rows[k] for k in there), line=file.line[there]))
+    return parts
+
+
+def _names(rows: Sequence[tuple[str, ...]], role: str) -> tuple[str, ...]:
+    """Quantities of the columns of a path, of velocities or a map; none if unclear."""
+    values = np.array(rows, float)
+    if role == "map":
+        ids = values[:, 0]
+        return ("id", "x", "y") if values.shape[1] == 3 and _whole(ids) and len(np.unique(ids)) == len(ids) else ()
+    last = np.append(np.diff(values[:, 0]) != 0.0, True)  # of equal stamps
+    path = only_reading([row for row, taken in zip(rows, last.tolist(), strict=True) if taken])
+    if "yaw" in path:
+        return tuple(q.replace("yaw", "theta") for q, _ in sorted(path.items(), key=lambda item: int(item[1])))
+    velocities = role == "odometry" and values.shape[1] == 3 and (np.diff(values[:, 0]) > 0.0).all()
+    return ("t", "v", "omega") if velocities else ()
+
+
+def seen_by_layout(file: TextTable, path_of: Callable[[], Path | None]) -> tuple[TextTable, str, dict[str, str]] | None:
+    """Observations with names, what says so, and units by quantity: stamp, then id and two numbers once or several
+    times, which keep landmarks in one place along a path. None where this holds of no reading alone.
+    """
+    for part in _parts(file):
+        values = np.array(part.rows, float)
+        if values.shape[1] < 4 or values.shape[1] % 3 != 1 or (np.diff(values[:, 0]) < 0.0).any():
+            continue
+        each = values[:, 1:].reshape(-1, 3)
+        ids = [j for j in range(3) if _whole(each[:, j])]
+        if len(ids) != 1:
+            continue
+        if (path := path_of()) is None:
+            return None
+        count = len(values[0]) // 3
+        pose = se2.interpolate(*path, np.repeat(values[:, 0], count))
+        found = []
+        for kind, order, sign in product((("range", "bearing"), ("x", "y")), (1, -1), ("", "-")):
+            pair = [j for j in range(3) if j not in ids][::order]
+            deg = "deg" * bool(kind[1] == "bearing" and np.abs(each[:, pair[1]]).max() > LARGEST)
+            unit = sign + (deg or ("rad" if kind[1] == "bearing" else "m")) if sign or deg else ""
+            a, b = each[:, pair].T * np.array([[1.0], [(-1.0 if sign else 1.0) * (np.pi / 180.0 if deg else 1.0)]])
+            if kind[0] == "x" or (a >= 0.0).all():
+                local = np.stack([a, b] if kind[0] == "x" else [a * np.cos(b), a * np.sin(b)], axis=-1)
+                found.append((_spread(se2.transform_points(pose, local), local, each[:, ids[0]]), kind, pair, unit))
+        found.sort(key=lambda f: f[0])
+        if len(found) > 1 and found[0][0] < CLEAR * found[1][0]:
+            _, kind, pair, unit = found[0]
+            named = {ids[0]: "label", pair[0]: kind[0], pair[1]: kind[1]}
+            names = [f"{named[j]}{k}" if count > 1 else named[j] for k in range(1, count + 1) for j in range(3)]
+            told = f"its columns are {', '.join(['t', *names])}{f' ({kind[1]} in {unit})' * bool(unit)}"
+            return replace(part, names=("t", *names), named=True), told, {kind[1]: unit} if unit else {}
+    return None
+
+
+LARGEST = 3.0 * np.pi  # rad, a direction of half a turn less a heading of one: bearings that were not wrapped
+
+
+def _spread(place: Array, local: Array, label: Array) -> float:
+    """Mean distance between places (N, 2) of a landmark, relative to how far it is from the sensor."""
+    off = []
+    for name in np.unique(label):
+        own = place[label == name]
+        off += [np.hypot(*(own[span:] - own[:-span]).T) for span in SPANS if span < len(own)]
+    return float(np.mean(np.concatenate(off)) / np.mean(np.hypot(*local.T))) if off else np.inf
+
+
+def _whole(values: Array) -> bool:
+    return bool((values == np.round(values)).all() and (values >= 0.0).all())
