@@ -26,11 +26,10 @@ from eval.referee.score import Trial, score
 from eval.replay.settings import Setup
 from eval.report.terminal import groups_of
 from tests.builders.unpacked import unpacked
-from wings.cooperative.experiments import experiments, named_team
+from wings.cooperative.experiments import experiments, named_team, team_logs
 from wings.cooperative.filters import Gates, TeamFilter, independent, intersected
 from wings.cooperative.report import identities, rows_of
 from wings.cooperative.team import team_of
-from wings.cooperative.utias import team_logs
 from wings.cooperative.world import Team, simulate_all
 
 KNOWN = LandmarkMap(np.array([0]), np.array([[3.0, 1.0]]))
