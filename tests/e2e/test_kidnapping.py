@@ -51,10 +51,7 @@ def replay(inputs, estimator="ekf"):
 
 
 def back_after(inputs, truth, pose, covariance):
-    """Scans of three landmarks or more from the kidnapping until the pose was within 3 sigma; None: never.
-
-    A wide covariance is not counted as being back: the position must be right to half a metre, too.
-    """
+    """Scans of three landmarks or more until the pose was within 3 sigma and half a metre; None: never."""
     scans = 0
     for k in range(AT, len(truth)):
         scans += inputs.start[k + 1] - inputs.start[k] >= 3
