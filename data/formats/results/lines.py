@@ -253,6 +253,7 @@ def times_of(
         what = f"stamp {early} is before {late} of the line above; ascending stamps are needed"
         raise DataError.at(text.path, what + kinds_of(text.path, text.fields), line=text.line[k])
     clock = paths.Clock("s", paths.ROWS) if column == UNSTAMPED else clock
+    clock = paths.Clock("s", paths.DATES) if unit == paths.DATES else clock
     if clock is None and manner.stamps is not None:
         clock = paths.Clock(manner.stamps, paths.STATED)
     clock = clock or paths.clock_of(str(text.path), stamps, unit, usual)

@@ -117,6 +117,11 @@ def test_fixes_tell_the_start_and_files_side_by_side_are_one_table(convert):
     assert "unknown start" in convert(*table, "--fix-sigma", "4,4", status=2)  # the way is too short
     log, said = convert(*table, "--fix-sigma", "5cm,5cm")
     assert log.recorded.prior.mean == pytest.approx([5.0, -3.0, 0.7], abs=0.05)
+    sure = np.sqrt(log.recorded.prior.covariance[2, 2])  # odometry that turns by 20 deg per root of a second drifts
+    unsure = convert(*table, "--fix-sigma", "5cm,5cm", "--odometry-sigma", "5cm,20deg")[0].recorded.prior.covariance[
+        2, 2
+    ]
+    assert 0.17 < sure < 0.2 < np.sqrt(unsure)
     assert (log.origins["prior"], "inferred: --prior=" in said) == (Origin.INFERRED, True)
 
 
