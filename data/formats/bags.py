@@ -196,15 +196,11 @@ WIDEST = 1e6
 
 
 class Pose(NamedTuple):
-    """A pose in the plane: stamp [s], x, y [m], heading [rad], covariance (3, 3) of these, or NaN where not stated; of
-    a place alone the heading is NaN.
+    """A pose in the plane, or of a satellite fix latitude, longitude [deg] and height [m]."""
 
-    Of a satellite fix: latitude, longitude [deg], height [m], and the covariance (2, 2) east, north [m²].
-    """
-
-    stamp: float
-    pose: tuple[float, float, float]
-    covariance: Array
+    stamp: float  # s
+    pose: tuple[float, float, float]  # x, y [m], heading [rad], which is NaN of a place alone
+    covariance: Array  # (3, 3), NaN where not stated; of a satellite fix (2, 2) of east, north [m^2]
 
 
 class Detection(NamedTuple):
@@ -449,10 +445,8 @@ def scans_of(
     path: Path, topics: Sequence[Topic], found: Collected, robot: str, span: tuple[float, float],
     mending: Mending = AS_STATED,
 ) -> LaserScans:  # fmt: skip
-    """The scans of a bag on a robot's frame, those at a time within the span [s].
-
-    A range below range_min, not below range_max, infinite or NaN is no return, as in sensor_msgs/LaserScan. DataError
-    without a scan within the span, or if the laser is not level.
+    """The scans of a bag on a robot's frame within the span [s]; what is no return is as in sensor_msgs/LaserScan.
+    DataError without a scan within the span, or if the laser is not level.
     """
     read = found.scans
     if not read.ranges:
@@ -507,15 +501,10 @@ def _scanner(path: Path, found: Collected, robot: str, low: float, step: float) 
 
 
 def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, mending: Mending = AS_STATED) -> Log:
-    """The log: frames are the scans within the span of the odometry, which is interpolated at their stamps.
-
-    A topic may be left out if it is the only one of its kind. Without a topic of odometry (or with `tf`) the poses are
-    the transforms from the odometry's frame, as in bags for gmapping, karto and slam_toolbox. If there are none, and
-    `mending` wants no odometry, the robot is the laser, at rest.
-
-    Raises:
-        UsageError: `rosbags` is not installed, or a topic is missing or ambiguous.
-        DataError: no bag, a damaged one, no message, or an invalid scan.
+    """The log: frames are the scans within the span of the odometry, which is interpolated at their stamps. A topic may
+    be left out if it is the only one of its kind. Without odometry (or with `tf`) the poses are those of tf, as in bags
+    for gmapping, karto and slam_toolbox; if there are none, and `mending` wants none, the robot is the laser, at rest.
+    UsageError: no `rosbags`, or a topic is missing or ambiguous. DataError: no or a damaged bag, or no valid scan.
     """
     every = topics_of(path)
     if scan is None and not any(t.role is Role.SCANS for t in every):
@@ -574,14 +563,9 @@ def _poses(topic: Topic, found: Collected, robot: str) -> tuple[Array, Array, Ar
 def second_closures(
     topic: Topic, found: Collected, noise: TravelNoise | None, robot: str, time: Array, taken: Collection[str]
 ) -> tuple[Closures, str]:
-    """Closures between successive frames at `time` (N,) that the topic covers, and a sentence.
-
-    `noise`: as stated; None: that of the twists in the messages. `robot`: the frame of the other odometry, on which tf
-    mounts that of this one; `taken`: names of other sources.
-
-    Raises:
-        DataError: no message, or fewer than two frames covered, or a frame that tf does not mount.
-        UsageError: noise that is stated nowhere.
+    """Closures between successive frames at `time` (N,) that the topic covers, and a sentence. `noise`: as stated,
+    None: of the twists. `robot`: the other odometry's frame, on which tf mounts this one's; `taken`: names of other
+    sources. DataError: no message, fewer than two frames, or a frame that tf does not mount. UsageError: no noise.
     """
     if not found.poses.get(topic.name):
         raise DataError(f"{topic.name}: no message; some are needed")

@@ -608,10 +608,8 @@ def _size(off: Array) -> float:
 def recorded(
     text: str, inputs: Inputs, frames: Frames, *, exact: bool = True
 ) -> tuple[list[State], float, ForeignError | None]:
-    """What an estimator says about frames, until it stops for a reason (None: it does not).
-
-    Also its least effective number of samples (infinite: it has none). A landmark that is not initialized at once ends
-    the comparison, as numbers differ from then on; for an estimator that claims to be `exact` it is a reason.
+    """What an estimator says about frames, its least effective number of samples (infinite: none), and why it stopped.
+    A landmark that is not initialized at once ends the comparison; of an `exact` estimator it is a reason.
     """
     estimator, slam = make_estimator(text, inputs), inputs.map is None
     foreign = estimator if isinstance(estimator, Adapter) else None

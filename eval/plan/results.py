@@ -192,10 +192,8 @@ def truth_of(log: Log, path: GivenPath | None) -> TruePath | None:
 
 
 def runs_of(result: Result, log: Log, task: str, truth: TruePath | None, reading: Matching) -> Iterator[GivenRun]:
-    """The runs of a result on a log: one, or one per phase if their stamps differ; questions are among their notes.
-
-    Raises DataError if no pose matches the truth, units of stamps disagree, or the decisions belong to other
-    observations.
+    """The runs of a result on a log, one, or one per phase if their stamps differ, with questions among their notes.
+    DataError: no pose matches the truth, units of stamps disagree, or decisions are of other observations.
     """
     kept = _kept(result, log)
     paths, truth, asked = _comparable(result, log, truth, reading)

@@ -1,15 +1,17 @@
-"""Estimators driven frame by frame with given decisions."""
+"""Estimators driven frame by frame with given decisions, and front ends that decide themselves."""
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from data.inputs import Inputs, IntArray
+from data.inputs import Frame, Inputs, IntArray
 from data.result import Updated
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
+from eval.replay.frontend import FrontEnd
+from eval.replay.run import through
 
 
 class Driven(NamedTuple):
@@ -44,3 +46,19 @@ def drive(
         poses.append(pose)
         covariances.append(covariance)
     return Driven(np.array(poses), np.array(covariances), done)
+
+
+def followed(front: FrontEnd, inputs: Inputs) -> tuple[Array, Array, IntArray, BoolArray]:
+    """Poses (N, 3), covariances (N, 3, 3), decisions (M,) and which were used (M,), of a front end to its end."""
+    decisions, used = np.full(len(inputs.observations.frame), -2), np.zeros(len(inputs.observations.frame), np.bool_)
+
+    def keep(part: Frame, decided: IntArray, done: Updated) -> None:
+        rows = slice(part.first, part.first + len(decided))
+        decisions[rows], used[rows] = decided, done.used
+
+    found = []
+    for k in range(len(inputs)):
+        through(front, inputs.frame(k), keep)
+        found.append(front.estimator.estimate())
+    front.close()
+    return np.array([mean for mean, _ in found]), np.array([P for _, P in found]), decisions, used

@@ -43,9 +43,7 @@ LEFT_OUT_FILES = {
     "runs/*/lab.txt": "the decisions once more",
 }
 """Files, as patterns, that nothing is kept of, and why."""
-LEFT_OUT_COLUMNS = {
-    ("metrics.csv", "lost_why"): "a sentence",
-}
+LEFT_OUT_COLUMNS = {("metrics.csv", "lost_why"): "a sentence"}
 """File and column that nothing is kept of, and why."""
 EXACT_ONLY = {
     ("metrics.csv", "iterations"): "rounding decides whether an optimizer takes one more step",

@@ -303,9 +303,8 @@ def row_of(name: str, k: int, case: Case, poses: int) -> Row:
 
 
 def table(out: Path, graphs: int, poses: int, sound: int, names: Collection[str] = tuple(STRUCTURES)) -> pd.DataFrame:
-    """Each kind of error in each structure; graphs to OUT/audit-graphs.csv, shares of them to OUT/audit-table.csv.
-
-    Graphs of the file are not drawn again. `sound` graphs have no error, and are as many times the size.
+    """Each kind of error in each structure; graphs to OUT/audit-graphs.csv, where none is drawn again, shares of them
+    to OUT/audit-table.csv. `sound` graphs have no error, and are as many times the size.
     """
     file = out / "audit-graphs.csv"
     out.mkdir(parents=True, exist_ok=True)

@@ -98,10 +98,7 @@ STEPS = {
 
 
 class GainFromBefore(EkfLocalizer):
-    """EKF localization whose gain has the covariance from before the prediction, K = P- H' S^-1.
-
-    S is correctly formed from the predicted covariance; (I - K H) P is not made symmetric.
-    """
+    """EKF localization with the gain P- H' S^-1 of the covariance before the prediction, though S is of that after."""
 
     def predict(self, increment: Increment) -> None:
         self._version += 1

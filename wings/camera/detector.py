@@ -100,10 +100,8 @@ def root_sift(descriptor: Any) -> Descriptors:
 
 
 def match(scene: Features, references: list[Features]) -> list[tuple[Indices, Indices]]:
-    """Pairs (feature of the picture, feature of the scene) per picture, each feature in at most one pair.
-
-    A scene's feature is paired with its nearest among all pictures if it passes the ratio test against the second
-    nearest, and is in turn the nearest of that feature (mutual).
+    """Pairs (feature of the picture, feature of the scene) per picture, one to one: the nearest among all pictures by
+    the ratio test against the second nearest, and mutual.
     """
     n = len(scene)
     if n == 0:

@@ -112,10 +112,8 @@ def read_text(path: Path) -> Text:
 def numbers(
     text: Text, columns: Sequence[str], *, more: bool = False, blank: bool = False, huge: Collection[str] = ()
 ) -> Array:
-    """The fields as numbers (n, columns), NaN where unknown; `more`: further fields of a line are ignored.
-
-    A covariance (see `is_covariance`) may be infinite, which is unknown, too. `blank`:
-    fields may be blank. Columns of `huge` may exceed `LARGEST`.
+    """The fields as numbers (n, columns), NaN where unknown, as an infinite covariance is. `more`: further fields are
+    ignored, `blank`: fields may be blank, `huge`: columns that may exceed `LARGEST`.
     """
     k = len(columns)
     plain = _plain(text, k, more)
