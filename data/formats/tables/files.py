@@ -72,7 +72,7 @@ class TextTable:
         """The columns in a message."""
         if not self.named:
             return f"columns 1 to {len(self.names)}, without names"
-        if len(topics := topics_in(self.names)) > 1:
+        if len(topics := [topic for topic in topics_in(self.names) if topic.startswith("/")]) > 1:
             return f"topics {', '.join(topics)}, as in {self.path}:{topics[0]}"
         text = ", ".join(self.names)
         return "columns " + (text if len(text) <= NAMES_SHOWN else text[:NAMES_SHOWN] + " ...")
