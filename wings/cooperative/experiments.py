@@ -42,11 +42,8 @@ ABOUT = {
 def experiments(
     name: str, asked: Selection, setup: Setup, reading: Reading, say: Callable[[str], None]
 ) -> list[Experiment]:
-    """All robots of a team, jointly, and as variants alone and with each exchange.
-
-    Raises:
-        UsageError: a name of no team, or nothing that a team can do.
-        DataError: invalid files.
+    """All robots of a team, jointly, and as variants alone and with each exchange. UsageError: a name of no team, or
+    nothing that a team can do. DataError: invalid files.
     """
     logs = [as_scored(log, reading) for log in named_team(name)]
     methods = asked.association or ("known",)
@@ -83,9 +80,8 @@ def _why(estimators: tuple[str, ...], task: str, methods: tuple[str, ...]) -> st
 
 
 def named_team(name: str) -> list[Log]:
-    """The logs of all robots of a team, `NAME-robotN`: of a UTIAS dataset by its path, or of a simulated team.
-
-    `arena:SEED:robots=N+KEY=VALUE` is the same as `team:SEED:...`. Raises UsageError for a name of no team.
+    """The logs of all robots of a team, `NAME-robotN`: of a UTIAS dataset by its path, or of `team:SEED:...`, which is
+    `arena:SEED:robots=N+KEY=VALUE`. Raises UsageError for a name of no team.
     """
     world, _, rest = name.partition(":")
     if world == "team" or (world == "arena" and "robots=" in rest):
@@ -102,12 +98,8 @@ def named_team(name: str) -> list[Log]:
 
 
 def team_logs(source: Path) -> list[Log]:
-    """The logs of all robots of a dataset (folder or zip), ascending.
-
-    Barcodes are sensed labels, of landmarks and robots. A robot starts and ends as without the others; one without
-    ground truth is left out, since its start in the map is unknown.
-
-    Raises DataError for missing or invalid files, and fewer than two robots.
+    """The logs of all robots of a dataset (folder or zip) with ground truth, ascending; each starts and ends as without
+    the others, barcodes are sensed labels. DataError: missing or invalid files, or fewer than two.
     """
     files = open_files(source)
     there = [robot for robot in files.robots() if robot in ROBOTS]

@@ -67,10 +67,7 @@ def _blank(team: Team, row: int) -> Track:
 
 
 class TeamFilter:
-    """The filters of all robots, as one mean (d,) and covariance (d, d).
-
-    Poses are in front, landmarks after them. Without a joint state the covariance has blocks on its diagonal alone.
-    """
+    """The filters of all robots: one mean (d,) and covariance (d, d), of blocks without a joint state; poses first."""
 
     def __init__(self, team: Team, known: LandmarkMap | None, exchange: str, gates: Gates) -> None:
         self.team, self.known, self.exchange, self.gates = team, known, exchange, gates

@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,11 @@ SEPARATORS = (";", "\t", ",", " ")  # In this order, since a decimal comma is no
 COMMENT = ("#", "%")
 DATE = re.compile(r"\d{4}-?(?:\d\d|W)")  # How dates in ISO 8601 begin
 NAMES_SHOWN = 200  # Most characters of a header in a message
+
+
+def stem_of(name: str) -> str:
+    """The name of a column without its number."""
+    return name.rstrip("0123456789")
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +80,8 @@ class TextTable:
             return f"columns 1 to {len(self.names)}, without names"
         if len(topics := [topic for topic in topics_in(self.names) if topic.startswith("/")]) > 1:
             return f"topics {', '.join(topics)}, as in {self.path}:{topics[0]}"
-        text = ", ".join(self.names)
+        runs = [list(run) for _, run in groupby(self.names, key=stem_of)]
+        text = ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 3 else ", ".join(run) for run in runs)
         return "columns " + (text if len(text) <= NAMES_SHOWN else text[:NAMES_SHOWN] + " ...")
 
     def text(self, column: int, keep: BoolArray) -> list[str]:
@@ -436,7 +443,7 @@ class Columns:
                 self.used.add(quantity)
                 return column
         if file.named and quantity in file.names:
-            return file.find(quantity)
+            return file.find("time" if quantity == "t" and self._headings(file) else quantity)
         usual = (quantity.replace("theta", "yaw"), quantity)
         read = {c: (role_of(name)[0], "".join(words_of(name)[0])) for c, name in enumerate(file.names) if file.named}
         also = [c for c, (role, word) in read.items() if role in usual or word in (quantity, *ALSO.get(quantity, ()))]
@@ -455,6 +462,18 @@ class Columns:
                 note += f", whose unit {unit!r} is unknown (--unit {role}.{quantity}=UNIT; else SI)"
         self.notes += [note] * (note not in self.notes)
         return also[0]
+
+    def _headings(self, file: TextTable) -> bool:
+        """Whether a column t beside an ascending column time descends, as headings do; which is noted."""
+        if "time" not in file.names:
+            return False
+        pairs = np.array([[row[file.names.index(q)] or "nan" for q in ("t", "time")] for row in file.rows])
+        if not all(map(is_number, pairs.ravel().tolist())):
+            return False
+        of_t, of_time = np.any(np.diff(pairs.astype(float), axis=0) < 0.0, axis=0).tolist()
+        note = f"{file.path.name}: inferred: --columns t=time, as the column t descends"
+        self.notes += [note] * (bool(of_t and not of_time) and note not in self.notes)
+        return bool(of_t and not of_time)
 
     def taken(self, file: TextTable, role: str, quantities: Sequence[str], truth: TextTable | None) -> bool:
         """Whether the truth is the same table, and has the columns of these quantities of a role for its own."""

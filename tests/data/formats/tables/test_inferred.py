@@ -170,3 +170,15 @@ def test_steps_between_poses(convert, names):
         "o.csv": text("from_id,to_id,dx,dy,dtheta", np.arange(299), np.arange(1, 300), step)}, "table", "o.csv", "out",
         "--observations", "seen.csv", "--truth", "truth.csv", "--prior", "truth", "--prior-sigma", "0,0,0", status=2,
     )  # fmt: skip
+
+
+def test_an_array_of_scans_beside_stamps_and_headings_of_the_names_time_and_t(convert, tmp_path):
+    """The only wide array holds the scans; t descends, so it is theta, and time the stamps."""
+    scans = np.full((300, 40), 3.0)
+    np.savez(tmp_path / "log.npz", laser=scans, time=T, t=-THETA, v=V, w=OMEGA)
+    flags = ("table", str(tmp_path / "log.npz"), "out", "--scans", str(tmp_path / "log.npz"))
+    assert "--scanner LOW,STEP,MAX" in convert({}, *flags, status=2)
+    log, said = convert({}, *flags, "--scanner", "-90deg,4deg,8m")
+    assert "inferred: --columns t=time" in said
+    assert "inferred: --columns scans.range=laser_1" in said
+    assert log.recorded.scans.ranges.shape == (300, 40)
