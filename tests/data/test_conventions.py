@@ -75,7 +75,6 @@ def converted(tmp_path):
 
 
 def asked(log):
-    """Order, flags, gain and whether the truth tells."""
     (found,) = [q.named for q in ask(log) if q.code is Code.CONTRADICTION] or [{"units": None}]
     return found if found["units"] is None else {**found, "by_truth": found["witness"] == "truth and odometry"}
 

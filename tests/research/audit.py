@@ -259,7 +259,6 @@ def chance(drawn: Spoilt, s: Structure) -> Chance:
 
 
 def applies(name: str, case: Case) -> bool:
-    """Whether a structure can have an error of this kind."""
     if name == "landmarks":
         return case.kind in (STEPS, NOISE, SWAPPED) or (case.kind == LOOPS and case.strength < ELSEWHERE)
     return case.kind != SWAPPED
@@ -286,7 +285,6 @@ class Row(NamedTuple):
 
 
 def row_of(name: str, k: int, case: Case, poses: int) -> Row:
-    """Draw a graph and examine it."""
     s, begin = structure(name, poses, k), time.process_time()
     drawn = spoilt(s, case, np.random.default_rng([k, 1 + (case != NONE)]))
     could = chance(drawn, s) if drawn.false else Chance(np.nan, 0, np.nan)

@@ -83,7 +83,6 @@ def fp_ratios(worlds: Sequence[World]) -> Array:
 
 
 def goals(worlds: Sequence[World]) -> list[Goal]:
-    """The three goals; of no worlds nothing is reached."""
     if not worlds:
         return []
     good = float(np.mean([w.rmse_ratio <= WORSE for w in worlds]))

@@ -178,7 +178,6 @@ NEAREST = 0.3
 
 
 def log_of(drawn: Drawn) -> Log:
-    """The log, called `variety-INDEX`. Same world: same bytes."""
     seed = np.random.SeedSequence([drawn.index, STREAM + 1])
     map_rng, sensor_rng, clutter_rng = (np.random.default_rng(s) for s in seed.spawn(3))
     log = named_log(drawn.name)

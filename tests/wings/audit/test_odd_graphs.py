@@ -223,7 +223,6 @@ K = gtsam.Cal3_S2(500, 500, 0, 320, 240)
 
 
 def cameras(count):
-    """An empty graph, values of cameras side by side, and their poses."""
     poses = [gtsam.Pose3(gtsam.Rot3.Ypr(0.05 * k, 0.03 * k, 0), np.array([k - 2.0, 0.2 * k, 0])) for k in range(count)]
     values = gtsam.Values()
     for k, pose in enumerate(poses):

@@ -125,9 +125,7 @@ def test_a_log_that_is_no_struct_array_is_refused(tmp_path: Path) -> None:
     (lambda c: c.pop("commands"), "the log has no commands"),
     (lambda c: c.update({k: v[:0] for k, v in c.items()}), "the log has no frames"),
 ])  # fmt: skip
-def test_faults_of_an_archive_are_named(
-    tmp_path: Path, change: Callable[[dict[str, np.ndarray]], None], said: str
-) -> None:
+def test_faults_of_an_archive_are_named(tmp_path, change, said):
     columns = log_arrays()
     change(columns)
     refuse(lab(tmp_path / "lab", columns=columns, form="log.npz"), f"log.npz: {said}")
