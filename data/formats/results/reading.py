@@ -183,7 +183,8 @@ def topics_in(names: Sequence[str]) -> list[str]:
 def _roles(names: Sequence[str], topic: str) -> list[tuple[str, str]]:
     """Roles and units of the columns of a topic, and of the stamps of the table, else of the topic."""
     found = [role_of(n[len(topic) + 1 :]) if n.startswith((f"{topic}/", f"{topic}.")) else ("", "") for n in names]
-    table = {j: r for j, n in enumerate(names) if not re.search(r"[/.]", n) and (r := role_of(n))[0] == "t"}
+    bare = {j: role_of(n) for j, n in enumerate(names) if n.startswith("header") or not re.search(r"[/.]", n)}
+    table = {j: r for j, r in bare.items() if r[0] in ("t", "nanoseconds")}
     return [table.get(j, ("", "") if table and r[0] in ("t", "nanoseconds") else r) for j, r in enumerate(found)]
 
 

@@ -78,7 +78,7 @@ class TextTable:
         """The columns in a message."""
         if not self.named:
             return f"columns 1 to {len(self.names)}, without names"
-        if len(topics := topics_in(self.names)) > 1:
+        if len(topics := [topic for topic in topics_in(self.names) if topic.startswith("/")]) > 1:
             return f"topics {', '.join(topics)}, as in {self.path}:{topics[0]}"
         runs = [list(run) for _, run in groupby(self.names, key=stem_of)]
         text = ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 3 else ", ".join(run) for run in runs)
