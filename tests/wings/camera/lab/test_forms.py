@@ -239,9 +239,7 @@ def test_a_log_of_version_7_3_gives_the_same_frames_as_often_as_asked(tmp_path: 
     (lambda c: c["timestamp"].__setitem__(2, 10.1), r"log\(3\).timestamp: 10.1 s follows 10.1 s"),
     (lambda c: c.pop("xyz"), "the log has no xyz"),
 ])  # fmt: skip
-def test_faults_of_a_log_of_version_7_3_are_named(
-    tmp_path: Path, change: Callable[[dict[str, Any]], None], said: str
-) -> None:
+def test_faults_of_a_log_of_version_7_3_are_named(tmp_path, change, said):
     columns: dict[str, Any] = log_arrays()
     change(columns)
     folder = lab(tmp_path / "lab", form="")
