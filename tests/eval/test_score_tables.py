@@ -186,6 +186,7 @@ def test_topics_as_columns_of_sparse_rows(scored, tmp_path):
     rows += [f"{t + 0.02},,,,,0.5" for t in T]
     text = "\n".join([",".join(names), *sorted(rows, key=lambda row: float(row.split(",")[0]))])
     assert "topics /ekf, /mocap/data: type which" in scored(text, wrong=True)
+    assert "no line of data of /odom" in scored(text, flags=(f"{tmp_path / '0.csv'}:/odom",), wrong=True)
     file = tmp_path / "0.csv"
     keys = ("estimate.x", "estimate.y", "truth.x", "truth.y")
     stated = ("--columns", ",".join(f"{k}={n}" for k, n in zip(keys, names[1:], strict=False)))

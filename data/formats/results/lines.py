@@ -91,7 +91,7 @@ def read_text(path: Path) -> Text:
     comments = tuple((i, line) for i, line in lines if line.startswith(("#", "%")))
     data = [(i, line) for i, line in lines if line and not line.startswith(("#", "%"))]
     if not data:
-        raise DataError.at(path, "no line of data; at least one is needed")
+        raise DataError.at(path, f"no line of data{f' of {word}' * bool(word)}; at least one is needed")
     separator = next((s for s in (",", ";") if s in data[0][1]), None)
     fields = tuple(split(line, separator) for _, line in data)
     ended = fields[0][-1] == "" or len(fields[0]) < len(fields[-1])  # a last column with a name may be blank

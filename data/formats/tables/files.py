@@ -164,7 +164,7 @@ def read_text(path: Path) -> TextTable:
     numbered = [(i, line) for i, line in lines if line.strip(" ;,")]
     plain = [(i, line) for i, line in numbered if not line.lstrip().startswith(COMMENT)]
     if not plain:
-        raise DataError.at(path, "no rows; at least one is needed")
+        raise DataError.at(path, f"no rows{f' of {word}' * bool(word)}; at least one is needed")
     separator = _separator([line for _, line in plain[:50]])
     rows = _split([line for _, line in plain], separator)
     if len(rows) != len(plain):
