@@ -38,10 +38,8 @@ class ConditionalInnovations(NamedTuple):
 
 
 def conditional_innovations(e: Expectation, rows: IntArray, chosen: IntArray) -> ConditionalInnovations:
-    """Each pairing's innovation given all others, from the blocks of S^-1 (Gaussian conditioning in information form).
-
-    Observations `rows` (k,) are paired with the candidates `chosen` (k,). Raises SingularInnovationError if their joint
-    covariance is not positive definite.
+    """Each pairing's innovation given all others, from the blocks of S^-1: observations `rows` (k,), candidates
+    `chosen` (k,). Raises SingularInnovationError if their joint covariance is not positive definite.
     """
     pairing = rows.tobytes(), chosen.tobytes()
     found = e.formed.conditional.get(pairing)

@@ -272,10 +272,8 @@ class Expectation:
 
 
 def statistics(nu: Array, S: Array, dof: int | None = None) -> tuple[float, int, float]:
-    """NIS, degrees of freedom and log-likelihood of an innovation (d,) with covariance (d, d).
-
-    `dof`: less than d where something is not measured, which has an innovation of 0 and a variance of 1. Raises
-    SingularInnovationError if the covariance is not positive definite.
+    """NIS, degrees of freedom and log-likelihood of an innovation (d,) with covariance (d, d); `dof`: less than d where
+    something is not measured (innovation 0, variance 1). Raises SingularInnovationError.
     """
     try:
         root = np.linalg.cholesky(S)

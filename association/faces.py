@@ -20,9 +20,7 @@ SIGMAS = 3.0
 
 def aligned_with_observations(e: Expectation, sensor: Sensor) -> Expectation:
     """The same walls, each with the sign, (d, phi) or (-d, phi + pi), of the nearest observation; points as they are.
-
-    Where the robot may be on either side of a wall, an expectation may have either sign. Observations and their noise
-    have the normal towards the wall.
+    An expectation may have either sign where the robot may be on either side of a wall.
     """
     if sensor.sees_points or not len(e.z) or not len(e.number):
         return e

@@ -329,10 +329,8 @@ class Search(NamedTuple):
 def search(
     expectation: Expectation, gate: float | None, *, first: bool = False, budget: int = BUDGET, share: float = 1.0
 ) -> Search:
-    """The search behind `jcbb` and `jcbb_first`, with all its results; all covariances are `share` times the stated.
-
-    The joint covariance is formed once, for the compatible candidates alone. Raises SingularInnovationError if the
-    innovation covariance of a pair, or of the pairings together, is not positive definite.
+    """The search behind `jcbb` and `jcbb_first` with all its results, over the compatible candidates alone; covariances
+    are `share` times the stated. Raises SingularInnovationError if one of a pair, or of the pairings, is not definite.
     """
     threshold = expectation.threshold(gate)
     if budget < 1:

@@ -59,6 +59,11 @@ def squared_norms(nu: Array, S: Array) -> Array:
     return np.asarray((c * x * x - 2.0 * b * x * y + a * y * y) / (a * c - b * b))
 
 
+def whitened(nu: Array, S: Array) -> Array:
+    """Innovations (k, 2) over their standard deviations, by the Cholesky factors of their covariances (k, 2, 2)."""
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(S), nu[:, :, None])[:, :, 0])
+
+
 @njit
 def cholesky(S: Array, L: Array, n: int) -> bool:
     """Lower Cholesky factor L of the leading n x n block of S, which may be L itself; False where S is not definite."""

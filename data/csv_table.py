@@ -6,7 +6,8 @@ order mark, CRLF line ends and spaces around fields are accepted. Columns may ha
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -39,6 +40,7 @@ class Table:
     line: IntArray  # (K,) line of each row in the file
     unknown: tuple[str, ...] = ()  # names of columns that were not requested
     texts: Mapping[str, Sequence[str]] = field(default_factory=dict)  # columns of words, each (K,), empty where blank
+    named: Mapping[str, str] = field(default_factory=dict)  # columns in errors, where they have other names
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
@@ -85,7 +87,7 @@ class Table:
 
     def error(self, row: int, name: str | None, what: str) -> DataError:
         """The error of a row."""
-        return DataError.at(self.path, what, line=int(self.line[row]), column=name)
+        return DataError.at(self.path, what, line=int(self.line[row]), column=self.named.get(name or "", name))
 
     def together(self, names: Sequence[str]) -> bool:
         """Whether it has these columns; DataError where it has some of them only."""
@@ -192,6 +194,13 @@ def lines_of(content: bytes) -> list[bytes]:
 def cut_off(fields: int, needed: int, *, last: bool) -> str:
     """Hint of a message about a row with too few fields in the `last` line."""
     return " (the file ends here: was it cut off?)" if last and fields < needed else ""
+
+
+def ends_early(fields: Iterable[int], needed: int, read: int) -> set[int]:
+    """Numbers of fields of rows that end before the header, behind the columns to read. Several rows have each: a
+    single one may lack a field between others.
+    """
+    return {n for n, count in Counter(fields).items() if read <= n < needed and count > 1}
 
 
 def _header(path: Path, line: bytes, required: Sequence[str]) -> list[str]:

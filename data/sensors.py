@@ -33,10 +33,8 @@ wrap_angle_jit = njit(se2.wrap_angle)
 
 @njit
 def _measure_line(extrinsic: Array, pose: Array, rho: float, alpha: float, z_hat: Array, Hx: Array, Hl: Array) -> None:
-    """`measure` for a wall: z = (distance, direction of the normal towards the wall).
-
-    phi = alpha - theta + rotation, d = rho - n(alpha) . p + n(phi) . T. Beyond the wall d < 0, and the normal towards
-    it is the opposite one: z = (-d, phi + pi).
+    """`measure` for a wall: z = (d, phi), phi = alpha - theta + rotation, d = rho - n(alpha) . p + n(phi) . T. Beyond
+    the wall d < 0, and the normal towards it is the opposite one: z = (-d, phi + pi).
     """
     c, s = math.cos(alpha), math.sin(alpha)
     phi = alpha - pose[2] + extrinsic[0]
@@ -168,10 +166,8 @@ def residual(kind: int, z0: float, z1: float, z_hat: Array) -> tuple[float, floa
 
 @njit
 def name_as_read(kind: int, angle: float, z_hat: Array, Hx: Array, Hl: Array) -> None:
-    """Give a wall's expectation and Jacobians the sign of a measurement with this angle, in place.
-
-    Where the robot's side of a wall is uncertain, `measure` may choose the other sign; the noise of z is that of its
-    own.
+    """Give a wall's expectation and Jacobians the sign of a measurement with this angle, in place: where the robot's
+    side of a wall is uncertain, `measure` may choose the other one.
     """
     if kind == LINE and abs(wrap_angle_jit(angle - z_hat[1])) > 0.5 * math.pi:
         z_hat[0] = -z_hat[0]

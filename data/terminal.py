@@ -24,10 +24,8 @@ Words = ParamSpec("Words")
 
 
 def ended(body: Callable[[], int | None], interrupted: Callable[[], str] | str = "interrupted") -> int:
-    """Run the body of a command; returns its exit status.
-
-    A closed pipe (`... | head -1`) is no error. `interrupted`: message after Ctrl-C. Garbage is collected seldom;
-    at the end of the process, where that takes 0.9 s, not at all.
+    """Run the body of a command; returns its exit status. A closed pipe is no error, `interrupted`: said after Ctrl-C.
+    Garbage is collected seldom; at the end of the process, where that takes 0.9 s, not at all.
     """
     gc.set_threshold(*SELDOM)
     atexit.register(gc.freeze)

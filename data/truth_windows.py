@@ -101,7 +101,17 @@ def bad_truth(log: Log) -> tuple[BadTruth, ...]:
 def leaps(truth: Array, other: Array) -> list[tuple[int, int]]:
     """First and last rows of true poses (n, 3) that leap away from another path (n, 3) and come back; NaN: unknown."""
     known = np.flatnonzero(np.isfinite(np.hstack([truth, other])).all(axis=1))
-    return _Steps(known, truth, other, np.zeros(3)).excursions() if len(known) > FEWEST else []
+    if len(known) <= FEWEST:
+        return []
+    steps, found = _Steps(known, truth, other, np.zeros(3)), []
+    for first, last in steps.excursions():
+        a, b = np.searchsorted(known, (first, last)).tolist()
+        i, j = known[: a - b - 1], known[b - a + 1 :]  # what the paths drift apart as long a time elsewhere
+        usual = se2.between(se2.between(other[i], other[j]), se2.between(truth[i], truth[j]))
+        far = UNUSUAL * np.quantile(np.abs(usual), 0.8, axis=0)
+        if (np.abs(steps.off[a - 1]) > far).any():
+            found.append((first, last))
+    return found
 
 
 def without(log: Log, stretches: Sequence[tuple[float, float]]) -> Log:
@@ -302,10 +312,12 @@ class _Steps:
         self.true = se2.between(pose[known[:-1]], pose[known[1:]])
         self.driven = se2.between(odometry[known[:-1]], odometry[known[1:]])
         self.off = se2.between(self.driven, self.true)
-        scale = np.maximum(1.4826 * np.median(np.abs(self.off), axis=0), stated)
+        moving = (np.abs(np.hstack([self.true, self.driven])) > STILL).any(axis=1)
+        usual = moving | (moving.sum() < FEWEST)  # at rest there is no noise to compare
+        scale = np.maximum(1.4826 * np.median(np.abs(self.off[usual]), axis=0), stated)
         self.size = np.max(np.abs(self.off) / np.maximum(scale, STILL), axis=1)
         leap, spin = (
-            moved > UNUSUAL * max(np.quantile(moved, 0.8), np.quantile(driven, 0.99))
+            moved > UNUSUAL * max(np.quantile(moved[usual], 0.8), np.quantile(driven[usual], 0.99))
             for moved, driven in (
                 (np.hypot(*self.true[:, :2].T), np.hypot(*self.driven[:, :2].T)),
                 (np.abs(self.true[:, 2]), np.abs(self.driven[:, 2])),

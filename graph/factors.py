@@ -224,10 +224,8 @@ def prior_factor(prior: Prior) -> Factor:
 
 
 def between_factors(first_frame: int, mean: Array, covariance: Array) -> tuple[list[gtsam.BetweenFactorPose2], float]:
-    """Motions (n, 3) with covariances (n, 3, 3) into the frames from `first_frame` on, and their smallest pivot.
-
-    The increment's error is additive in the previous body frame, and turned to the end pose for gtsam. Raises DataError
-    for a singular covariance.
+    """Motions (n, 3) with covariances (n, 3, 3) into the frames from `first_frame` on, and their smallest pivot;
+    errors, additive in the previous body frame, are turned to the end pose for gtsam. DataError: a singular covariance.
     """
     roots, pivot = increment_roots(first_frame, covariances_in_body(mean[:, 2], covariance))
     frame = np.arange(first_frame, first_frame + len(mean))

@@ -137,11 +137,8 @@ error on an increment: errors of turns are 1.5 sigma off in the arena without, 0
 
 
 class OpenEnd:
-    """The newest pose with the errors b (p,), of which the drift is that of the newest knot, and the increments that
-    are not in the graph yet.
-
-    `whole` (3 + p, 3 + p) is the covariance of newest pose and errors, world frame, in the sensor's frame; `P` that of
-    the pose.
+    """The newest pose with the errors b (p,), drift of the newest knot, and the increments that are not in the graph
+    yet. `whole` (3 + p, 3 + p): covariance of both, world frame, in the sensor's frame; `P`: that of the pose.
     """
 
     def __init__(self, prior: Prior, errors: Errors) -> None:

@@ -216,14 +216,9 @@ def _suspect(error: float, problem: Problem) -> bool:
 def optimize(
     problem: Problem, start: gtsam.Values, *, loss: str = "gaussian", with_shares: bool = False, enough: float = STEP
 ) -> Smoothed:
-    """Minimize from `start`; if that fails, also by way of looser increments, and take the lowest minimum.
-
-    `loss` names the loss of the problem's factors; `with_shares`: of points observed in both coordinates, the shares of
-    their noise that residuals keep; `enough` [sigma]: a shorter step ends the search.
-
-    Raises:
-        UnderConstrained: naming a variable that the data do not determine.
-        NotConvergedError: no optimum was reached.
+    """Minimize from `start`; if that fails, also by way of looser increments, and take the lowest minimum. `loss`: of
+    the factors; `with_shares`: of points observed in both coordinates, the shares of noise that residuals keep;
+    `enough` [sigma]: a shorter step ends the search. UnderConstrained: names a variable; NotConvergedError: no optimum.
     """
     linearizer = Linearizer(problem)
     best = _descend(linearizer, start, enough=enough)
@@ -359,11 +354,8 @@ def _smoothed(
 def _in_world(
     motion: Motion, found: _Found, pose: Array, covariance: Array, state: MapState | None
 ) -> tuple[Trajectory, MapState | None, Systematics | None]:
-    """Path, map (None where it was known) and systematic errors (None: there are none), in the world, from those in
-    the sensor's frame.
-
-    `pose` (N, 3); `covariance` (V, 3, 3) of all variables: poses in body frames, the first that of the robot itself;
-    landmarks; drifts in squared sigmas.
+    """Path, map (None: known) and systematic errors (None: none) in the world from the sensor's frame: `pose` (N, 3);
+    `covariance` (V, 3, 3): poses in body frames, the robot's first; landmarks; drifts in squared sigmas.
     """
     n, solution, errors = len(pose), found.solution, motion.errors(found.values)
     sigma, at = motion.sigma, motion.constant

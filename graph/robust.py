@@ -56,10 +56,8 @@ class Graduated:
         return _At(values, rows, square, float(rest))
 
     def search(self, values: gtsam.Values, threshold: Array) -> tuple[gtsam.Values, BoolArray]:
-        """The estimate reached from `values`, and which measurements have a weight above one half there.
-
-        Each measurement has a threshold (k,) of its squared whitened residual. Prior and motion are trusted. The
-        control parameter starts from the residuals at `values`, not at the first least-squares solution.
+        """The estimate reached from `values`, and which measurements, with thresholds (k,) of their squared whitened
+        residuals, have a weight above one half there. The control parameter starts from the residuals at `values`.
         """
         now = self.at(values)
         share = now.square / threshold

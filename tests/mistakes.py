@@ -250,7 +250,6 @@ MISTAKES: dict[str, Change] = {
 
 
 def write(folder: Path, t: Tables) -> None:
-    """The tables as CSV files."""
     folder.mkdir(parents=True, exist_ok=True)
     truth, names = t.truth, "t,x,y,theta"
     if t.turned is not None:
@@ -266,7 +265,6 @@ def write(folder: Path, t: Tables) -> None:
 
 
 def words(folder: Path, t: Tables, *, truth: bool = True, ids: bool = True, known: bool = True) -> list[str]:
-    """The words of `slamref convert`."""
     a, b, c, d = t.sigmas
     given = ["table", f"{folder}/odometry.csv", f"{folder}/log", "--observations", f"{folder}/seen.csv"]
     given += ["--columns", "label=id"] if ids else []
@@ -279,7 +277,6 @@ def words(folder: Path, t: Tables, *, truth: bool = True, ids: bool = True, know
 
 
 def log_of(folder: Path, t: Tables, *flags: str, **parts: bool) -> Log:
-    """The log of the tables."""
     write(folder, t)
     with contextlib.redirect_stdout(io.StringIO()):
         assert convert([*words(folder, t, **parts), *flags]) == 0

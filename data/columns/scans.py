@@ -31,10 +31,8 @@ BROKEN = (
 
 
 def open_archive(path: Path, *, whole: bool) -> zipfile.ZipFile:
-    """An archive; `whole`: its entries will be read whole, not in pieces.
-
-    Raises DataError for another compression method or an excessive size; OSError, ValueError, NotImplementedError or
-    zipfile.BadZipFile if it is none, or damaged.
+    """An archive; `whole`: its entries will be read whole. DataError: another compression method, or an excessive size.
+    OSError, ValueError, NotImplementedError or zipfile.BadZipFile: it is none, or damaged.
     """
     archive = zipfile.ZipFile(path)
     for entry in archive.infolist():

@@ -28,7 +28,8 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
 
 def convert(args: argparse.Namespace) -> Log | str:
     """The log of the bag; with --list a table of its topics."""
-    from data.errors import UsageError
+    from data.columns.named import LENGTH
+    from data.errors import UsageError, unknown
     from data.formats.bags import Wanted, chosen, collect, listed, log_of_bag, topics_of
     from data.formats.recordings.laser import TravelNoise
     from data.formats.tables.files import POSE, TRAVEL, numbers
@@ -51,6 +52,7 @@ def convert(args: argparse.Namespace) -> Log | str:
         ("prior", POSE, "x, y [m], heading [rad]", None), ("prior-sigma", POSE, "of x, y [m], heading", True),
         ("point-sigma", ("length",), one, False), ("bearing-sigma", ("angle",), one, False),
         ("position-sigma", ("length",), one, False), ("heading-sigma", ("angle",), one, False),
+        ("range-sigma", ("length",), one, False),
         ("second-odom-sigma", TRAVEL, travel, True),
     ):  # fmt: skip
         text = getattr(args, flag.replace("-", "_"))
@@ -58,5 +60,7 @@ def convert(args: argparse.Namespace) -> Log | str:
     prior, prior_sigma, *sigmas, second = found.values()
     alone = [None if sigma is None else float(sigma[0]) for sigma in sigmas]
     noise = None if second is None else TravelNoise(*second.tolist())
-    wanted = Wanted(prior, prior_sigma, alone[0], alone[1], alone[2], alone[3], noise)
+    if (unit := args.range_unit or "") not in ("", *LENGTH):
+        raise UsageError(f"--range-unit {unit}: {unknown(unit, LENGTH)}")
+    wanted = Wanted(prior, prior_sigma, alone[0], alone[1], alone[2], alone[3], noise, alone[4], unit)
     return log_of_bag(args.source, args.out.absolute().name, topics, collect(args.source, topics), wanted)

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from data import se2
+from data.columns.named import LENGTH
 from data.columns.scans import with_returns
 from data.digest import source_file
 from data.earth import east_north
@@ -27,13 +28,13 @@ from data.formats.recordings.mending import AS_STATED, Mending, beam_angles, pil
 from data.formats.recordings.ros import ODOMETRY, OLD_TRANSFORMS, SCAN, TF, TRANSFORMS, Tree
 from data.formats.results.path import ABSENT, unturned
 from data.formats.second_odometry import closures_between, covered, of_twists, own_name
-from data.inputs import UNLABELLED, Inputs, IntArray, Observations, Prior, Scanner, Scans
+from data.inputs import UNLABELLED, Inputs, IntArray, LandmarkMap, Observations, Prior, Scanner, Scans
 from data.log import Log
 from data.notice import Notice
 from data.origin import Origin
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource
 from data.se2 import Array, BoolArray, interpolate, inverse
-from data.sensors import Bearing, RangeBearing, RelativePoint, Sensor
+from data.sensors import Bearing, Range, RangeBearing, RelativePoint, Sensor
 from data.terminal import counted, in_columns
 from data.timeline import frame_times, truth_at
 from data.truth import Truth
@@ -59,6 +60,7 @@ class Role(StrEnum):
     POSES = "pose fixes"
     POINTS = "observations: points"
     BEARINGS = "observations: bearings"
+    RANGES = "observations: ranges"
     SECOND = "second odometry: closures"
     TRUTH = "truth"
     TRANSFORMS = "transforms"
@@ -98,7 +100,13 @@ def topics_of(path: Path) -> tuple[Topic, ...]:
             known = found.get(c.topic)
             role, why = OF.get(c.msgtype, Role.NOTHING), ""
             if role is Role.NOTHING:
-                why = "messages of this type are not read"
+                numbers = [
+                    n for n, (_, of) in reader.typestore.fielddefs.get(c.msgtype, ((), ()))[1] if of[0] in NUMBERS
+                ]
+                found_in = ranged(numbers)
+                role, why = (
+                    (Role.RANGES, " of ".join(found_in)) if found_in else (role, "messages of this type are not read")
+                )
             elif c.msgtype not in reader.typestore.fielddefs:
                 role, why = Role.NOTHING, "the bag does not define this type"
             count = c.msgcount + (known.count if known is not None else 0)
@@ -106,6 +114,20 @@ def topics_of(path: Path) -> tuple[Topic, ...]:
         if not all(isinstance(word, str) for t in found.values() for word in (t.name, t.kind)):
             raise TypeError("a topic or its type is no text")  # metadata may hold a date; `opened` says it in a line
     return tuple(found[name] for name in sorted(found))
+
+
+NUMBERS = {"float32", "float64", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
+RANGE = ("range", "distance", "dist")
+LANDMARK = ("anchorid", "anchor", "beaconid", "beacon", "landmarkid", "landmark", "markerid", "nodeid", "id", "tagid")
+
+
+def ranged(names: Sequence[str]) -> tuple[str, ...]:
+    """The range and the landmark's id among the numbers of a message of any type; empty without both, or with a bearing
+    beside them.
+    """
+    plain = {name.lower().replace("_", ""): name for name in names}
+    found = [next((plain[word] for word in words if word in plain), "") for words in (RANGE, LANDMARK)]
+    return () if "" in found or {"azimuth", "bearing", "angle"} & plain.keys() else tuple(found)
 
 
 def chosen(
@@ -174,15 +196,11 @@ WIDEST = 1e6
 
 
 class Pose(NamedTuple):
-    """A pose in the plane: stamp [s], x, y [m], heading [rad], covariance (3, 3) of these, or NaN where not stated; of
-    a place alone the heading is NaN.
+    """A pose in the plane, or of a satellite fix latitude, longitude [deg] and height [m]."""
 
-    Of a satellite fix: latitude, longitude [deg], height [m], and the covariance (2, 2) east, north [m²].
-    """
-
-    stamp: float
-    pose: tuple[float, float, float]
-    covariance: Array
+    stamp: float  # s
+    pose: tuple[float, float, float]  # x, y [m], heading [rad], which is NaN of a place alone
+    covariance: Array  # (3, 3), NaN where not stated; of a satellite fix (2, 2) of east, north [m^2]
 
 
 class Detection(NamedTuple):
@@ -237,6 +255,7 @@ class Collected:
     frames: dict[str, tuple[str, str]] = field(default_factory=dict)
     unstamped: set[str] = field(default_factory=set)  # topics of poses with stamps 0, which are times of recording then
     detections: dict[str, list[Detection]] = field(default_factory=dict)  # by topic
+    whole: set[str] = field(default_factory=set)  # topics of ranges that are whole numbers
     cameras: dict[str, tuple[float, float, float, float]] = field(default_factory=dict)  # fx, fy, cx, cy by frame
     tree: Tree = field(default_factory=Tree)  # transforms
     scans: Scanned = field(default_factory=Scanned)  # of the only topic of scans
@@ -269,6 +288,15 @@ def _add(found: Collected, role: Role, topic: str, kind: str, message: Any, reco
     elif role in (Role.POINTS, Role.BEARINGS):
         some = (d for d in detections(kind, message, recorded) if _finite(d.at[:2], where))
         found.detections.setdefault(topic, []).extend(some)
+    elif role is Role.RANGES:
+        value = {name: v for name, v in vars(message).items() if isinstance(v, (int, float))}
+        far, number = (value[name] for name in ranged([*value]))
+        stamped = hasattr(message, "header")
+        frame = ros.bare(message.header.frame_id) if stamped else ""
+        at = ros.stamp_of(message, recorded) if stamped else recorded
+        found.whole |= {topic} if isinstance(far, int) else set()
+        if far > 0.0 and _finite((far,), where):
+            found.detections.setdefault(topic, []).append(Detection(at, frame, _id(number), (float(far), 0.0, 0.0)))
     elif role is Role.POSITIONS:
         found.frames[topic] = "", ros.bare(message.header.frame_id)
         if message.status.status < 0 or not np.isfinite([message.latitude, message.longitude]).all():
@@ -417,10 +445,8 @@ def scans_of(
     path: Path, topics: Sequence[Topic], found: Collected, robot: str, span: tuple[float, float],
     mending: Mending = AS_STATED,
 ) -> LaserScans:  # fmt: skip
-    """The scans of a bag on a robot's frame, those at a time within the span [s].
-
-    A range below range_min, not below range_max, infinite or NaN is no return, as in sensor_msgs/LaserScan. DataError
-    without a scan within the span, or if the laser is not level.
+    """The scans of a bag on a robot's frame within the span [s]; what is no return is as in sensor_msgs/LaserScan.
+    DataError without a scan within the span, or if the laser is not level.
     """
     read = found.scans
     if not read.ranges:
@@ -475,15 +501,10 @@ def _scanner(path: Path, found: Collected, robot: str, low: float, step: float) 
 
 
 def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, mending: Mending = AS_STATED) -> Log:
-    """The log: frames are the scans within the span of the odometry, which is interpolated at their stamps.
-
-    A topic may be left out if it is the only one of its kind. Without a topic of odometry (or with `tf`) the poses are
-    the transforms from the odometry's frame, as in bags for gmapping, karto and slam_toolbox. If there are none, and
-    `mending` wants no odometry, the robot is the laser, at rest.
-
-    Raises:
-        UsageError: `rosbags` is not installed, or a topic is missing or ambiguous.
-        DataError: no bag, a damaged one, no message, or an invalid scan.
+    """The log: frames are the scans within the span of the odometry, which is interpolated at their stamps. A topic may
+    be left out if it is the only one of its kind. Without odometry (or with `tf`) the poses are those of tf, as in bags
+    for gmapping, karto and slam_toolbox; if there are none, and `mending` wants none, the robot is the laser, at rest.
+    UsageError: no `rosbags`, or a topic is missing or ambiguous. DataError: no or a damaged bag, or no valid scan.
     """
     every = topics_of(path)
     if scan is None and not any(t.role is Role.SCANS for t in every):
@@ -542,14 +563,9 @@ def _poses(topic: Topic, found: Collected, robot: str) -> tuple[Array, Array, Ar
 def second_closures(
     topic: Topic, found: Collected, noise: TravelNoise | None, robot: str, time: Array, taken: Collection[str]
 ) -> tuple[Closures, str]:
-    """Closures between successive frames at `time` (N,) that the topic covers, and a sentence.
-
-    `noise`: as stated; None: that of the twists in the messages. `robot`: the frame of the other odometry, on which tf
-    mounts that of this one; `taken`: names of other sources.
-
-    Raises:
-        DataError: no message, or fewer than two frames covered, or a frame that tf does not mount.
-        UsageError: noise that is stated nowhere.
+    """Closures between successive frames at `time` (N,) that the topic covers, and a sentence. `noise`: as stated,
+    None: of the twists. `robot`: the other odometry's frame, on which tf mounts this one's; `taken`: names of other
+    sources. DataError: no message, fewer than two frames, or a frame that tf does not mount. UsageError: no noise.
     """
     if not found.poses.get(topic.name):
         raise DataError(f"{topic.name}: no message; some are needed")
@@ -598,6 +614,8 @@ class Wanted:
     positions: float | None = None
     headings: float | None = None
     second: TravelNoise | None = None
+    ranges: float | None = None
+    unit: str = ""  # of ranges; empty: mm of whole numbers, else m
     assumed: dict[Role, str] = field(default_factory=dict)
 
     def sigma(self, role: Role) -> float:
@@ -612,7 +630,7 @@ class Wanted:
 
 USUAL = {
     Role.POINTS: ("point", 0.1, "m"), Role.BEARINGS: ("bearing", 2.0, "deg"), Role.POSITIONS: ("position", 1.0, "m"),
-    Role.HEADINGS: ("heading", 5.0, "deg"),
+    Role.HEADINGS: ("heading", 5.0, "deg"), Role.RANGES: ("range", 0.1, "m"),
 }  # fmt: skip
 """Flag and sigma of each role where nobody states it."""
 
@@ -643,7 +661,14 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
     """The log. DataError or UsageError where odometry, noise or prior are missing."""
     notes: list[str] = []
     odometry, robot, stamp, pose = odometry_of(path, topics, found)
+    true_rows = [r for t in topics if t.role is Role.TRUTH for r in found.poses.get(t.name, [])]
+    late = stamp >= min((r.stamp for r in true_rows), default=-math.inf)
+    if wanted.prior is None and late.any() and not late.all():
+        notes.append(f"The truth begins {stamp[late][0] - stamp[0]:.3g} s after the odometry; so does the log.")
+        stamp, pose = stamp[late], pose[late]
+    known, told = _anchors(topics, found)
     seen, left = _observed(topics, found, wanted, robot, stamp)
+    notes += told
     fixed, datum = _fixed(topics, found, wanted, robot)
     laser = None
     if any(t.role is Role.SCANS for t in topics):
@@ -652,7 +677,7 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
         notes += laser.notes
     second = next((t for t in topics if t.role is Role.SECOND), None)
     if not seen and not fixed and laser is None and second is None:
-        reasons = "; ".join(left) or "no topic of scans, detections or fixes"
+        reasons = "; ".join(text.rstrip(".") for text in left) or "no topic of scans, detections or fixes"
         raise DataError.at(path, f"nothing beside the odometry: {reasons}; --list names what each topic becomes")
     left += [f"assumed: {flag}" for flag in wanted.assumed.values()]
     notes = [f"Odometry: {odometry}, poses of {robot or 'the robot'} interpolated at the frames.", *notes, *left]
@@ -685,7 +710,7 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
         sensor=sensors[0] if sensors else RangeBearing(), covariance_floor=FLOOR, floored=floored,
         scans=None if laser is None else Scans(laser.scanner, _at(laser.stamp, time), laser.ranges),
         fixes=_all_fixes(fixed, time) if fixed else None, closures=closures,
-        sensors=sensors if len(sensors) > 1 else (),
+        sensors=sensors if len(sensors) > 1 else (), map=known,
     )  # fmt: skip
     origins = {} if laser is None else {**laser.origins}
     origins |= {"odometry_noise": Origin.ASSUMED} | ({"observation_noise": Origin.GIVEN} if seen else {})
@@ -722,7 +747,7 @@ def _observed(
     for t in topics:
         every = found.detections.get(t.name, [])
         rows = [d for d in every if stamp[0] <= d.stamp <= stamp[-1]]
-        if t.role not in (Role.POINTS, Role.BEARINGS) or not every:
+        if t.role not in (Role.POINTS, Role.BEARINGS, Role.RANGES) or not every:
             continue
         if len(rows) < len(every):
             lost = f"{len(every) - len(rows)} of {counted(len(every), 'detection')}"
@@ -732,11 +757,16 @@ def _observed(
             some = [d for d in rows if d.frame == frame]
             at = np.array([d.stamp for d in some])
             placed = found.tree.between(robot, frame, at) if found.tree.carries(robot, frame) else None
+            if placed is None and t.role is Role.RANGES:
+                placed = np.tile(np.eye(3), (len(some), 1, 1)), np.zeros((len(some), 3))
+                left.append(f"assumed: {t.name} measures at the robot's origin: tf does not place {frame or 'it'}")
             if placed is None:
                 left.append(f"{t.name}: {counted(len(some), 'detection')} in {frame!r}, which tf does not mount on "
                             f"{robot!r}: left out.")  # fmt: skip
                 continue
             where = np.array([d.at for d in some])
+            if t.role is Role.RANGES:
+                where *= LENGTH[wanted.unit or ("mm" if t.name in found.whole else "m")]
             if t.role is Role.BEARINGS:
                 if frame not in found.cameras:
                     left.append(f"{t.name}: no CameraInfo of {frame!r}, so pixels tell no direction: left out.")
@@ -744,9 +774,29 @@ def _observed(
                 fx, fy, cx, cy = found.cameras[frame]  # an optical frame: x to the right, y down, z ahead
                 where = np.column_stack([(where[:, 0] - cx) / fx, (where[:, 1] - cy) / fy, np.ones(len(where))])
             made.append((at, *placed, where, np.array([d.id for d in some], np.int64)))
+        if made and t.role is Role.RANGES and t.name in found.whole and not wanted.unit:
+            left.append("assumed: --range-unit mm, as ranges are whole numbers")
         if made:
             seen.append(_by_sensor(t, [np.concatenate(part) for part in zip(*made, strict=True)], wanted))
     return seen, left
+
+
+def _anchors(topics: Sequence[Topic], found: Collected) -> tuple[LandmarkMap | None, list[str]]:
+    """The map beside ranges: markers in the frame of the truth that hold still, which are no observations then."""
+    true = next((found.frames[t.name][0] for t in topics if t.role is Role.TRUTH and t.name in found.frames), "")
+    for t in topics:
+        some = found.detections.get(t.name, [])
+        if t.kind != MARKERS or not true or {d.frame for d in some} != {true} or min(d.id for d in some) < 0:
+            continue
+        at = {k: np.array([d.at[:2] for d in some if d.id == k]) for k in sorted({d.id for d in some})}
+        if any(t.role is Role.RANGES for t in topics) and max(np.ptp(p, axis=0).max() for p in at.values()) < STILL:
+            del found.detections[t.name]
+            known = LandmarkMap(np.array([*at], np.int64), np.array([p.mean(axis=0) for p in at.values()]))
+            return known, [f"{t.name}: {len(at)} markers in {true!r}, the frame of the truth, are the map."]
+    return None, []
+
+
+STILL = 0.01  # m, extent of a marker that is a place
 
 
 def _by_sensor(topic: Topic, parts: Sequence[Array], wanted: Wanted) -> _Seen:
@@ -754,14 +804,18 @@ def _by_sensor(topic: Topic, parts: Sequence[Array], wanted: Wanted) -> _Seen:
     at, R, t, where, ids = parts
     order = np.argsort(at, kind="stable")
     turned, sigma = np.einsum("nij,nj->ni", R, where), wanted.sigma(topic.role)
+    x, y = (-t[:, :2].mean(axis=0)).tolist()
     if topic.role is Role.POINTS:
         z = (turned + t)[:, :2]
         reach = 1.001 * float(np.hypot(*z.T).max())
         sensor: Sensor = RelativePoint(max_range=reach if reach > 0.0 else np.inf, label=_named(topic.name))
         covariance = np.tile(sigma**2 * np.eye(2), (len(z), 1, 1))
+    elif topic.role is Role.RANGES:
+        z = where[:, :2]
+        sensor = Range(1.001 * float(z.max()), translation=(x + 0.0, y + 0.0), label=_named(topic.name))
+        covariance = np.tile(np.diag([sigma**2, 1.0]), (len(z), 1, 1))
     else:
         z = np.column_stack([np.zeros(len(at)), np.arctan2(turned[:, 1], turned[:, 0])])
-        x, y = (-t[:, :2].mean(axis=0)).tolist()
         sensor = Bearing(translation=(x + 0.0, y + 0.0), label=_named(topic.name))
         covariance = np.tile(np.diag([1.0, sigma**2]), (len(z), 1, 1))
     return _Seen(sensor, at[order], z[order], covariance[order], ids[order].astype(np.int64))

@@ -329,10 +329,8 @@ def written(
     fixed: Iterable[int],
     edges: Iterable[tuple[str, int, int, Array, Array]],
 ) -> str:
-    """Text of a graph from poses and points by id, fixed ids, and edges (tag, id, id, measured (d,), covariance (d,
-    d)).
-
-    The covariance of an EDGE_SE2 is that of the additive error in the frame of its start.
+    """Text of a graph: poses and points by id, fixed ids, edges (tag, id, id, measured (d,), covariance (d, d)); that
+    of an EDGE_SE2 is of the additive error in the frame of its start.
     """
     lines = [_line(POSE, [i], p) for i, p in zip(*poses, strict=True)]
     lines += [_line(POINT, [i], p) for i, p in zip(*points, strict=True)]

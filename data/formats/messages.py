@@ -1,11 +1,13 @@
 """Rows of tables: messages that ROS printed as YAML (`rostopic echo`), and rows of one kind of several."""
 
+import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise, zip_longest
 from pathlib import Path
 
+from data.columns.named import STAMP
 from data.csv_table import is_number
 
 
@@ -72,7 +74,11 @@ def parts_of(path: Path) -> list[Path]:
 
 
 def with_word(lines: list[tuple[int, str]], word: str) -> list[tuple[int, str]]:
-    """The numbered lines with a field `word`, or by COLUMN=WORD with that word in that column; "": all."""
+    """The numbered lines with a field `word`, or by COLUMN=WORD with that word in that column; of a table with topics
+    as columns those of a topic; "": all.
+    """
+    if word and (below := _of_topic(lines, word.strip("/"))):
+        return below
     fields = [re.split(r"\s*[,;\t]\s*|\s+", line.strip()) for _, line in lines] if "=" in word else []
     name, _, value = word.partition("=")
     if (top := next((k for k, row in enumerate(fields) if name in row), None)) is not None:
@@ -81,6 +87,27 @@ def with_word(lines: list[tuple[int, str]], word: str) -> list[tuple[int, str]]:
     kept = [(i, line) for i, line in lines if not word or word in re.split(r"[\s,;]+", line.strip())]
     head = [pair for pair in lines if pair[1].strip()][:1] if word and kept else []
     return [*(pair for pair in head if pair[0] < kept[0][0] and not re.search(r"\d", pair[1])), *kept]
+
+
+def _of_topic(lines: list[tuple[int, str]], topic: str) -> list[tuple[int, str]]:
+    """Of a table with topics as columns those of a topic, without its name, and the stamps of the table, in the rows
+    that have some; none without such columns.
+    """
+    filled = [(i, line) for i, line in lines if line.strip()]
+    separator = next((s for s in ",;\t" if filled and s in filled[0][1]), ",")
+    rows = [[f.strip() for f in row] for row in csv.reader((line for _, line in filled), delimiter=separator)]
+    names = [name.strip("/") for name in rows[0]] if 0 < len(rows) == len(filled) else []
+    stamps = [j for j, name in enumerate(names) if name.strip("_%# ").lower() in STAMP]
+    below = [j for j, name in enumerate(names) if name.startswith((f"{topic}/", f"{topic}."))]
+    if not below:
+        return []
+    below = [j for j in below if not (stamps and "stamp" in names[j])]
+    rows[0] = [names[j][len(topic) + 1 :] if j in below else name for j, name in enumerate(rows[0])]
+    return [
+        (i, separator.join(row[j].replace(separator, " ") for j in (*stamps, *below) if j < len(row)))
+        for (i, _), row in zip(filled, rows, strict=True)
+        if any(j < len(row) and row[j] for j in below)
+    ]
 
 
 def kinds_of(path: Path, rows: Sequence[Sequence[str]]) -> str:

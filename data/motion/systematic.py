@@ -51,10 +51,8 @@ def places(systematic: Systematic) -> IntArray:
 
 @njit
 def correct(motion: Array, errors: Array, mount: Array, mean: Array, A: Array, G: Array) -> None:
-    """The corrected increment `mean` (3,) of odometry's `motion` (3,) under all errors (7,).
-
-    Also its Jacobians A (3, 7) to the errors and G (3, 3) to the odometry's additive noise. `mount` (3,): pose of the
-    sensor on the robot, zero for the robot's own frame.
+    """The corrected increment `mean` (3,) of odometry's `motion` (3,) under all errors (7,), with Jacobians A (3, 7) to
+    the errors and G (3, 3) to the additive noise; `mount` (3,): of the sensor, zero for the robot's own frame.
     """
     x, y, t = motion[0], motion[1], motion[2]
     d = math.hypot(x, y)
@@ -339,10 +337,8 @@ def all_errors(systematics: Systematics) -> Array:
 
 
 def corrected_inputs(inputs: Inputs, systematics: Systematics | None) -> Inputs:
-    """The inputs corrected by these errors, with nothing left to estimate of them; unchanged for None.
-
-    Increments are the robot's own; observations and noise are transformed. A smoother that estimated the errors has, up
-    to squares of the noise, the same optimum.
+    """The inputs corrected by these errors, none left to estimate; unchanged for None. Increments are the robot's own;
+    a smoother that estimated the errors has, up to squares of the noise, the same optimum.
     """
     if systematics is None:
         return inputs

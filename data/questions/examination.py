@@ -14,35 +14,9 @@ import numpy as np
 
 from data.log import ODOMETRY_KIND, ODOMETRY_PERIOD, Log
 from data.notice import Code, Notice, notice
-from data.questions import witnesses
+from data.questions import readings, witnesses
 from data.questions.flags import flags_of
-from data.questions.readings import (
-    DEG,
-    HEARD,
-    METRES,
-    PARTS,
-    READINGS,
-    SIZES,
-    SMALL_NOISE,
-    TINY,
-    Kind,
-    Numbered,
-    Part,
-    Reading,
-    faster,
-    frame_of,
-    heading_off,
-    late_by,
-    lever_arm,
-    mounted,
-    on_map,
-    rates,
-    seen_as,
-    shifted,
-    truly,
-    turned_by,
-    turning,
-)
+from data.questions.readings import DEG, SMALL_NOISE, TINY, Kind, Numbered, Part, Reading
 from data.questions.witnesses import EXACT, FEWEST, WEIGHT, WITNESSES, Case, Samples, by_nearest, case_of, changes
 from data.se2 import Array, between, compose, inverse, rigid_fit, transform_points
 
@@ -100,7 +74,7 @@ class Examination:
             if name == "observations and map" and self.case.id is None and r.part != Part.MAP:
                 continue
             all_parts = r.of in (Part.ODOMETRY, "bearing and omega", "truth and map")
-            new = WITNESSES[name](c, self.samples) if name in HEARD[r.part] or all_parts else fits
+            new = WITNESSES[name](c, self.samples) if name in readings.HEARD[r.part] or all_parts else fits
             for f, g in zip(fits, new, strict=False):
                 if f is None or g is None:
                     continue
@@ -147,19 +121,26 @@ class Examination:
         c = self.case
         # bearings in degrees reach beyond a turn; as radians they would lie ahead, and near each other
         radians = float(np.abs(c.z[:, 1]).max(initial=0.0)) <= TURN
-        for r in READINGS:
+        for r in readings.READINGS:
             named = c.kind == "velocities" or r.unit not in ("km/h", "mph", "kn", "rpm")
             if named and self._told(r.part) and not (radians and r.kind == Kind.UNIT and r.of == "bearing"):
                 yield self.judged(r)
         if len(c.z) and c.truth is None and c.names is None:  # where the world's x axis points is unknown, too
-            yield self.searched(Kind.WORLD, "bearing", lambda x: lambda c: replace(turned_by(x)(c), world=True), TURNS)
+            yield self.searched(
+                Kind.WORLD, "bearing", lambda x: lambda c: replace(readings.turned_by(x)(c), world=True), TURNS
+            )
         if c.id is not None and c.names is not None:
             first, last = c.names.min() - c.id[c.id >= 0].min(), c.names.max() - c.id.max()
             for by in sorted({-1, 1, int(first), int(last)} - {0}):
-                yield self.judged(Reading(Kind.SHIFTED, "ids", shifted(by), number=float(by)))
-            if c.truth is not None and (fit := frame_of(c, self.samples.some)) is not None:
+                yield self.judged(Reading(Kind.SHIFTED, "ids", readings.shifted(by), number=float(by)))
+            if c.truth is not None and (fit := readings.frame_of(c, self.samples.some)) is not None:
                 yield self.judged(
-                    Reading(Kind.FRAME, Part.TRUTH, truly(lambda pose: compose(fit, pose)), carry=tuple(fit.tolist()))
+                    Reading(
+                        Kind.FRAME,
+                        Part.TRUTH,
+                        readings.truly(lambda pose: compose(fit, pose)),
+                        carry=tuple(fit.tolist()),
+                    )
                 )
 
     def clocks(self) -> Iterator[Explained]:
@@ -169,7 +150,7 @@ class Examination:
         parts = (Part.OBSERVATIONS, len(c.z)), (Part.TRUTH, c.truth is not None), (Part.ODOMETRY, three and c.u.any())
         for part, have in parts:
             if have and self._told(part):
-                of: Numbered = partial(late_by, part)
+                of: Numbered = partial(readings.late_by, part)
                 near = self.searched(Kind.CLOCK, part, of, CLOCKS)
                 far = min(0.95 * float(c.time[-1] - c.time[0]), FARTHEST)
                 told = accepted(near) and not near.left and abs(near.readings[-1].number) < CLOCKS[-1]
@@ -183,7 +164,7 @@ class Examination:
         far = min(0.95 * float(c.time[-1] - c.time[0]), FARTHEST)
         if not len(c.z) or not by_nearest(c, self.samples) or far <= CLOCKS[-1] or not self._told(part):
             return None
-        wide, of = np.arange(-far, far, 4.0 * step), partial(late_by, part)
+        wide, of = np.arange(-far, far, 4.0 * step), partial(readings.late_by, part)
         each = [self.judged(Reading(Kind.CLOCK, part, of(x), "", x)) for x in wide.tolist()]
         sharp = np.array([e.sharp for e in each])
         peaks = np.flatnonzero((sharp[1:-1] >= sharp[:-2]) & (sharp[1:-1] >= sharp[2:])) + 1
@@ -202,26 +183,30 @@ class Examination:
         c = self.case
         yield from self.clocks()
         if len(c.z):
-            yield self.searched(Kind.TURNED, "sensor", turned_by, TURNS)
+            yield self.searched(Kind.TURNED, "sensor", readings.turned_by, TURNS)
         if c.truth is not None:
-            yield self.searched(Kind.TURNED, "truth.theta", heading_off, TURNS)
-        yield from (self.judged(r) for r in (mounted(c, self.samples), lever_arm(c, self.samples)) if r is not None)
+            yield self.searched(Kind.TURNED, "truth.theta", readings.heading_off, TURNS)
+        yield from (
+            self.judged(r)
+            for r in (readings.mounted(c, self.samples), readings.lever_arm(c, self.samples))
+            if r is not None
+        )
         if np.ptp(c.u[1:], axis=0).any():  # steps that are all equal are a motion prior, whose length is a guess
             for of in SCALED:
-                if self._told(PARTS.get(of, Part.OBSERVATIONS)):
+                if self._told(readings.PARTS.get(of, Part.OBSERVATIONS)):
                     yield self.scaled(of)
 
     def _told(self, part: Part) -> bool:
-        return any(f is not None for name in HEARD[part] for f in self.said[name])
+        return any(f is not None for name in readings.HEARD[part] for f in self.said[name])
 
 
 SCALED: Mapping[str, Numbered] = {
-    "v": faster,
-    "omega": turning,
-    "v and omega": rates,
-    "range": lambda k: seen_as(k, 1.0),
-    Part.MAP: lambda k: on_map(k * np.eye(2)),
-    Part.TRUTH: lambda k: truly(lambda p: p * [k, k, 1.0]),
+    "v": readings.faster,
+    "omega": readings.turning,
+    "v and omega": readings.rates,
+    "range": lambda k: readings.seen_as(k, 1.0),
+    Part.MAP: lambda k: readings.on_map(k * np.eye(2)),
+    Part.TRUTH: lambda k: readings.truly(lambda p: p * [k, k, 1.0]),
 }
 """Quantities that may have another scale."""
 SCALES = np.linspace(-7.2, 7.2, 37)  # Logarithms of scales that are tried first
@@ -273,7 +258,7 @@ SHARE = 0.01  # Smallest share of turning seconds above `FASTEST`: a single slip
 
 
 def _by_size(x: Examination) -> list[Explained]:
-    """A unit by the size of numbers alone, where nothing else tells: speeds, turn rates, bearings."""
+    """A unit by the size of numbers alone, where nothing else tells: speeds, turn readings.rates, bearings."""
     c = x.case
 
     if c.stamped and len(c.time) > 1:
@@ -287,19 +272,19 @@ def _by_size(x: Examination) -> list[Explained]:
         tiny = 0.0 < speed < CREEP and float(c.z[:, 0].max(initial=0.0)) < CLOSE_BY
         over = _over_noise(c, x.samples) if speed > BRISK or tiny else 1.0
         if tiny:
-            return _told(Kind.UNIT, "everything", SIZE, speed, METRES["km"] * speed, "km", over)
+            return _told(Kind.UNIT, "everything", SIZE, speed, readings.METRES["km"] * speed, "km", over)
         if speed > SPEED or over > SMALL_NOISE:
             large = over > CENTIMETRES if over > SMALL_NOISE else speed > CRAWL
             units = ["mm", "cm"] if large else ["cm", "mm"]
             if over > SMALL_NOISE:  # errors of an inch are 39 times as large
                 units.insert(0 if over < INCHES else 2, "in")
-            told = [_told(Kind.UNIT, "everything", SIZE, speed, METRES[u] * speed, u, over)[0] for u in units]
-            noise = [1.0 if over == 1.0 else over * METRES[u] for u in units]  # over the stated one
+            told = [_told(Kind.UNIT, "everything", SIZE, speed, readings.METRES[u] * speed, u, over)[0] for u in units]
+            noise = [1.0 if over == 1.0 else over * readings.METRES[u] for u in units]  # over the stated one
             fine = [SLOW <= e.fits <= BRISK and 0.1 < n < 2.0 for e, n in zip(told, noise, strict=True)]
             minutes *= over <= LEFT  # errors as large as stated are those of metres
             return told[:1] + [e for e, likely in zip(told[1:], fine[1:], strict=True) if likely] + minutes
         if pull > GRAVITY:
-            lengths = [(u, METRES[u]) for u in ("cm", "mm", "in")] if over == 1.0 or over > LEFT else []
+            lengths = [(u, readings.METRES[u]) for u in ("cm", "mm", "in")] if over == 1.0 or over > LEFT else []
             lengths = [(u, k) for u, k in lengths if SLOW <= k * speed <= BRISK and k * pull < GRAVITY]
             return [_told(Kind.UNIT, "everything", SIZE, speed, k * speed, u, 1.0)[0] for u, k in lengths] + minutes
         true = np.zeros(1) if c.truth is None else np.nan_to_num(np.diff(c.truth[:, 2]))
@@ -323,7 +308,7 @@ def _minutes(c: Case) -> list[Explained]:
 
 
 FAST = 0.1  # s, longest median frame interval that may be one of 6 s
-BY_MINUTES = next(r for r in READINGS if r.of == "v and omega" and r.unit == "min")
+BY_MINUTES = next(r for r in readings.READINGS if r.of == "v and omega" and r.unit == "min")
 
 
 def _sideways(c: Case) -> float:
@@ -403,7 +388,8 @@ def _strange(x: Examination) -> list[Explained]:
     if c.names is not None and (strange := float(np.mean(~np.isin(c.id[c.id >= 0], c.names)))) > 0.5:
         for by in c.names[[0, -1]] - [c.id[c.id >= 0].min(), c.id.max()]:
             if any(
-                f is not None and f.off < NEAR for f in witnesses.observations_and_map(shifted(int(by))(c), x.samples)
+                f is not None and f.off < NEAR
+                for f in witnesses.observations_and_map(readings.shifted(int(by))(c), x.samples)
             ):
                 return _told(Kind.SHIFTED, "ids", NAMES, strange, number=float(by), gain=0.0)
         return _told(Kind.STRANGE, "ids of the map", NAMES, strange, gain=0.0)
@@ -491,14 +477,16 @@ def paths_otherwise(
         lie = np.mean(fitted**2) < WELL**2 * np.mean(np.var(other[:, :2], axis=0))
         fast = np.median(np.hypot(*np.diff(other[:, :2], axis=0).T) / np.diff(time)) > SPEED
         wrong = ("deg", "yd", *["km"] * bool(fast))  # a scale of 1.09 is likelier than yards, mm likelier than km
-        some = (r for r in READINGS if r.part == Part.TRUTH and r.of != "truth and map" and r.unit not in wrong)
+        some = (
+            r for r in readings.READINGS if r.part == Part.TRUTH and r.of != "truth and map" and r.unit not in wrong
+        )
         singles = [x.judged(r) for r in some if r.of == "truth.theta" or not lie]
         if (headings := raw[k]) is not None and np.std(headings) > TURNS_ABOUT:
             degrees = np.column_stack([own[:, :2], DEG * headings])
             singles.append(x.judged(Reading(Kind.UNIT, "truth.theta", lambda c, d=degrees: replace(c, truth=d), "deg")))  # type: ignore[misc]
         plain += [(k, e) for e in singles if accepted(e) and (e.stated > WELL or e.fits < EXACTLY * e.stated)]
         if all(e.fits > WELL for _, e in plain):
-            scaled, turned = x.scaled(Part.TRUTH), x.searched(Kind.TURNED, "truth.theta", heading_off, TURNS)
+            scaled, turned = x.scaled(Part.TRUTH), x.searched(Kind.TURNED, "truth.theta", readings.heading_off, TURNS)
             best = [scaled, *([turned] if abs(turned.readings[0].number) > MOUNTED else [])]
             numbered += [(k, e) for e in best if accepted(e) and e.stated > WELL]
             exactly = scaled.gain > CLEAR and scaled.stated > SLIGHT and scaled.fits < EXACTLY * scaled.stated
@@ -600,7 +588,7 @@ def explanations(c: Case, *, whole: bool = True) -> list[Explained]:
     if (twice := _doubled(x)) or x.sound:
         return twice or _by_size(x) or (_strange(x) if c.names is not None else []) or _order(x)
     spins = bool(fastest(c.time, c.u[1:, 2]))
-    straight = x.judged(Reading(Kind.SCALE, "omega", turning(0.0))).gain
+    straight = x.judged(Reading(Kind.SCALE, "omega", readings.turning(0.0))).gain
     # where no turn at all fits as well, something else is wrong
     singles = [e for e in x.plain() if spins or not _of_turns(e) or straight < e.gain - max(2.0, CLOSE * e.gain)]
     singles = sorted(singles, key=lambda e: -e.gain)
@@ -648,7 +636,7 @@ def explanations(c: Case, *, whole: bool = True) -> list[Explained]:
     # a number near that of a unit is that unit's
     plain = list({(r.kind, r.of, r.unit): e for e in equal if (r := e.readings[-1]).kind != Kind.SCALE}.values())
     for e in (e for e in singles if e not in plain and e.readings[-1].kind == Kind.UNIT):
-        of, size = e.readings[-1].of, SIZES.get(e.readings[-1].unit, math.inf)
+        of, size = e.readings[-1].of, readings.SIZES.get(e.readings[-1].unit, math.inf)
         # of two parts alone a large number is known less well; units are ten times another
         off = [(abs(math.log(s.number * size)), 0.16 * abs(math.log(s.number))) for s in scales if of in s.of]
         plain += [e] * any(d < max(0.5 * LARGER, most) for d, most in off)
@@ -689,7 +677,7 @@ def _in_part(c: Case) -> list[Explained]:
 def _as_well(e: Explained, best: Explained) -> bool:
     """Whether a reading explains as much as the best, or has a unit that is too near to be told from its."""
     r, q = e.readings[-1], best.readings[-1]
-    ratio = SIZES.get(r.unit, math.inf) / SIZES.get(q.unit, 1.0)
+    ratio = readings.SIZES.get(r.unit, math.inf) / readings.SIZES.get(q.unit, 1.0)
     near = r.of == q.of and abs(math.log(ratio)) < LEFT * max(best.fits, best.noise)
     return near or e.gain >= best.gain - max(2.0, CLOSE * best.gain)
 

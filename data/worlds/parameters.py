@@ -102,10 +102,8 @@ def driven(
     period: float, v: Array, omega: Array, at: Array, start: Array, density: tuple[float, float],
     rng: np.random.Generator,
 ) -> tuple[Array, Increments, int]:  # fmt: skip
-    """True poses (N, 3) at the frames `at` (N,), noisy increments between them, and how many got the floor.
-
-    v [m/s] and omega [rad/s] are sampled every `period` [s] and held, with noise densities `density` [m and rad per
-    sqrt(s)].
+    """True poses (N, 3) at the frames `at` (N,), noisy increments, and how many got the floor: v [m/s], omega [rad/s]
+    every `period` [s], held, with noise densities `density` [m and rad per sqrt(s)].
     """
     time = period * np.arange(len(v), dtype=np.float64)
     exact, _ = preintegrate(VelocityModel(VelocityNoise("density")), time, v, omega, at)

@@ -444,9 +444,13 @@ def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:
     bug = likely(world, task, mine)
     order = sorted(begin, key=lambda q: (begin[q], list(Quantity).index(q)))
     facts: list[Fact] = []
+    first = begin.get(Quantity.LANDMARKS, 0)
+    # landmarks that are elsewhere as soon as there are any were initialized elsewhere, which no update explains
+    if order[:1] == [Quantity.LANDMARKS] and not any(len(s.number) for s in right[:first]):
+        mine, bug = mine[:0], None
     for q in order:
         observed, limit = len(frames[begin[q]][1]) > 0, 0.0 if q in COUNTED else allowed
-        own = bug or likely(world, task, mine, q)
+        own = bug or (likely(world, task, mine, q) if len(mine) else None)
         facts.append(Deviation(world, q, begin[q], observed, q is order[0], largest[q], limit, own, exact))
     return facts if stop is None else [*facts, Stopped(world, len(given), str(stop), bug)]
 
@@ -608,10 +612,8 @@ def _size(off: Array) -> float:
 def recorded(
     text: str, inputs: Inputs, frames: Frames, *, exact: bool = True
 ) -> tuple[list[State], float, ForeignError | None]:
-    """What an estimator says about frames, until it stops for a reason (None: it does not).
-
-    Also its least effective number of samples (infinite: it has none). A landmark that is not initialized at once ends
-    the comparison, as numbers differ from then on; for an estimator that claims to be `exact` it is a reason.
+    """What an estimator says about frames, its least effective number of samples (infinite: none), and why it stopped.
+    A landmark that is not initialized at once ends the comparison; of an `exact` estimator it is a reason.
     """
     estimator, slam = make_estimator(text, inputs), inputs.map is None
     foreign = estimator if isinstance(estimator, Adapter) else None

@@ -186,10 +186,8 @@ def check_calibrated(log: Log, asked: tuple[str, ...], associations: Sequence[st
 
 
 def settle(experiments: Sequence[Experiment], execution: Execution, lost: Unfinished) -> tuple[Experiment, ...]:
-    """The experiments, with errors to estimate where `--calibrate` is given and something beside odometry exists.
-
-    Their origin in the log says who named them: the user (given), the residuals of the log (inferred), or neither; then
-    all are estimated, with tight priors (assumed).
+    """The experiments, with errors to estimate where `--calibrate` is given and something beside odometry exists; their
+    origin says who named them: the user (given), the log's residuals (inferred), or neither (assumed: all).
     """
     asking = ((i, e) for i, e in enumerate(experiments) if e.setup.calibrate and e.work)
     wanted = {i: e.work[0].association for i, e in asking if witnessed(e.log.recorded)}

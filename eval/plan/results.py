@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from data.columns.named import LENGTH
+from data.dates import ISO
 from data.errors import DataError, UsageError, did_you_mean
 from data.formats.results.bags import file_and_topic, is_bag
 from data.formats.results.path import (
@@ -100,7 +101,9 @@ def manner_of(name: str, names: Sequence[str], reading: Matching) -> Manner:
         return None if value is None else Path(value)
 
     def unit(kind: Sequence[str]) -> str | None:
-        own = [text for text in reading.unit if text.rpartition("=")[2] in kind]
+        of = re.compile(r"^(?:(\w+)\.)?(?:t|time|theta|angle|length)=")  # as of convert table
+        every_text = [of.sub(lambda m: f"{m[1]}=" if m[1] else "", text) for text in reading.unit]
+        own = [text for text in every_text if text.rpartition("=")[2] in kind]
         return _of("--unit", own, name, names, every)
 
     for text in reading.unit:
@@ -144,7 +147,7 @@ def offset_of(name: str, names: Sequence[str], reading: Matching) -> float | str
     return seconds
 
 
-UNITS = (tuple(DIGITS), ("rad", "deg"), tuple(LENGTH))  # of stamps, angles and positions
+UNITS = ((*DIGITS, ISO), ("rad", "deg"), tuple(LENGTH))  # of stamps, angles and positions
 
 
 def _of(
@@ -175,10 +178,10 @@ def _known(flag: str, value: str, known: Sequence[str]) -> str:
     return value
 
 
-def true_path(file: str, names: Sequence[str], reading: Matching) -> GivenPath:
-    """The true path in a file; its covariance is not used."""
+def true_path(file: str, names: Sequence[str], reading: Matching, *, rows: bool = False) -> GivenPath:
+    """The true path in a file, whose `rows` hold the estimate, too; its covariance is not used."""
     manner = manner_of(TRUTH, names, reading)
-    return read_path(file, replace(manner, frame=None, order=None))
+    return read_path(file, replace(manner, frame=None, order=None, rows=rows))
 
 
 def truth_of(log: Log, path: GivenPath | None) -> TruePath | None:
@@ -189,10 +192,8 @@ def truth_of(log: Log, path: GivenPath | None) -> TruePath | None:
 
 
 def runs_of(result: Result, log: Log, task: str, truth: TruePath | None, reading: Matching) -> Iterator[GivenRun]:
-    """The runs of a result on a log: one, or one per phase if their stamps differ; questions are among their notes.
-
-    Raises DataError if no pose matches the truth, units of stamps disagree, or the decisions belong to other
-    observations.
+    """The runs of a result on a log, one, or one per phase if their stamps differ, with questions among their notes.
+    DataError: no pose matches the truth, units of stamps disagree, or decisions are of other observations.
     """
     kept = _kept(result, log)
     paths, truth, asked = _comparable(result, log, truth, reading)

@@ -53,10 +53,8 @@ def work(
     jobs: Sequence[Job[Owner]], execution: Execution, *, far: bool = False,
     lost: Callable[[Owner, Notice], None] | None = None,
 ) -> Iterator[tuple[Owner, Any]]:  # fmt: skip
-    """Results with their owners, when they are done; short jobs are done in this process.
-
-    `far`: on the cluster, if there is one (`--scheduler`). `lost` is called for each job that ran out of memory; None
-    raises `OutOfMemoryError` instead.
+    """Results with their owners, when they are done; short jobs in this process, `far`: on the cluster, if there is
+    one. `lost` is called for each job that ran out of memory; None raises `OutOfMemoryError` instead.
     """
     names, style = introduced(), current()
     calls: dict[int, Call] = {i: (_done, (names, style, job.function, job.arguments)) for i, job in enumerate(jobs)}
@@ -166,10 +164,8 @@ def _end_with(parent: int) -> None:
 
 
 def on_cluster(address: str, calls: Sequence[Call]) -> Iterator[tuple[int, Any]]:
-    """Results of calls with their index, when they are done; calls of a lost worker are repeated by another.
-
-    A call that ends several workers gives `KILLED`. Raises UsageError if the scheduler cannot be reached, has no
-    workers, or runs another version of slamref.
+    """Results of calls with their index, when they are done; a lost worker's are repeated, one that ends several gives
+    `KILLED`. UsageError: no scheduler, no workers, or another version of slamref.
     """
     from eval.studies.store import code_digest  # slow to load
 

@@ -120,10 +120,8 @@ def add_points(pack: Pack, name: str, xy: Array, shape: Array, step: float) -> N
 def add_changes(
     pack: Pack, key: str, frame: IntArray, number: IntArray, there: IntArray, xy: Array, shape: Array, quantum: float
 ) -> None:
-    """Changes of landmarks (C,), as differences from the same landmark's last one in the chunk.
-
-    xy: (C, 2) exact to half a quantum; shape: (C, 3) as of `spread`. Landmarks beyond the range of integers (a thousand
-    kilometres) are drawn at that distance.
+    """Changes of landmarks (C,) as differences from their last one in the chunk: xy (C, 2) exact to half a quantum,
+    shape (C, 3) as of `spread`; beyond the range of integers they are drawn at its end.
     """
     pack.add(f"{key}change_frame", frame)
     pack.add(f"{key}change_number", number)

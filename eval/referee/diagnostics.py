@@ -166,10 +166,8 @@ def _numbers(table: pd.DataFrame, key: tuple[str, ...], columns: Sequence[str]) 
 
 
 def origin(run: Run, trial: Trial) -> Notice | None:
-    """The pairing that fits worst in the first frame of an implausible run; None: of another run, or nothing paired.
-
-    `observation` counts within the frame, `began`: whether it initialized the landmark, `off` [m]: distance of the
-    landmark's final estimate from the place that the observation gives.
+    """The pairing that fits worst in the first frame of an implausible run, or None: `observation` counts within the
+    frame, `began`: it initialized the landmark, `off` [m]: of its place from the final estimate.
     """
     if run.implausible is None:
         return None

@@ -123,7 +123,7 @@ def _scored(file: str, truth: str, reading: Scoring) -> Scored:
     excluded = tuple(stretch(text) for text in reading.exclude_truth)
     asked: TruePath | None
     if is_bag(file_and_topic(truth)[0]) or file_and_word(path)[0].is_file():
-        given = true_path(truth, [ESTIMATE], reading)
+        given = true_path(truth, [ESTIMATE], reading, rows=truth == file)
         log, asked = screened(truth_log(path.stem, given), excluded, keep=True), TruePath.of(given)
     elif path.exists() or is_world(truth):
         log = open_scored(truth, Reading(exclude_truth=excluded, keep_truth=reading.keep_truth))
@@ -135,7 +135,7 @@ def _scored(file: str, truth: str, reading: Scoring) -> Scored:
         raise DataError.at(truth, "has no true poses (truth.csv)")
     phase = phase_of(Path(file))
     datum = tuple(cast("Sequence[float]", (log.source or {}).get("datum", ()))) if given is None else given.datum
-    estimate = read_path(file, replace(manner_of(ESTIMATE, [ESTIMATE], reading), datum=datum))
+    estimate = read_path(file, replace(manner_of(ESTIMATE, [ESTIMATE], reading), datum=datum, rows=truth == file))
     result = Result(ESTIMATE, {phase: estimate}, Companions(), offset_of(ESTIMATE, [ESTIMATE], reading))
     (run,) = runs_of(result, log, "slam", asked, reading)
     said = [] if given is None else [f"truth {truth}: {n}" for n in (f"read as {given.kind}", *given.notes) if n]

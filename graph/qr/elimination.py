@@ -364,10 +364,8 @@ def marginals(rows: Rows, s: Structure, t: Triangle, pairs: IntArray) -> tuple[A
 
 
 def joint_covariances(s: Structure, t: Triangle, sets: Sequence[IntArray]) -> list[Array]:
-    """Joint covariances (n, k, k) of sets (n, k) of columns that share a block, -1: none, by one pass from the roots.
-
-    Takahashi, Fagan and Chin, "Formation of a sparse bus impedance matrix", PICA 1973, by fronts. Directions that are
-    not determined have zero variance.
+    """Joint covariances (n, k, k) of sets (n, k) of columns that share a block, -1: none, from the roots (Takahashi,
+    Fagan and Chin, PICA 1973), by fronts. Directions that are not determined have zero variance.
     """
     size, wide = np.array([len(each) for each in sets]), np.array([each.shape[1] for each in sets])
     column, width = np.concatenate([each.ravel() for each in sets]), np.repeat(wide, size)

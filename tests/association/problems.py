@@ -11,10 +11,7 @@ GATE = 0.99
 
 
 def problem(seed, m, n, *, ambiguity=1.0, clutter=0.2, correlation=1.0, sigma=0.1, **more):
-    """m observations, n candidates in Cartesian coordinates, with a common error of the robot in every expectation.
-
-    `ambiguity`: how many sigma (of a single expectation) the candidates are apart, in the mean; small is hard.
-    """
+    """m observations, n candidates in Cartesian coordinates, with a common error; `ambiguity`: how many sigma apart."""
     rng = np.random.default_rng(seed)
     side = max(n, 1) ** 0.5 * sigma * (1.0 + 3.0 / ambiguity if ambiguity else 0.0)
     z_hat = rng.uniform(0.0, side, (n, 2))

@@ -9,7 +9,6 @@ ROOT = Path(__file__).parents[2]
 
 
 def python(*words: object, cwd: Path = ROOT, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Python with these words, to its end; `environment` is added to ours."""
     command = [sys.executable, *map(str, words)]
     return subprocess.run(
         command, capture_output=True, text=True, cwd=cwd, env=os.environ | environment, check=False, timeout=1200

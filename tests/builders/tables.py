@@ -5,6 +5,5 @@ from pathlib import Path
 
 
 def rows(path: Path) -> list[dict[str, str]]:
-    """The rows of a file of comma-separated values, by the names of its first line."""
     with path.open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))

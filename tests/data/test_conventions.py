@@ -36,9 +36,8 @@ def rows(table):
 
 @pytest.fixture
 def converted(tmp_path):
-    """A robot on a circle with exact readings, at 10 Hz; `converted(order, *flags)` is its log.
-
-    swing: of the turns, uneven: of the speed.
+    """A robot on a circle with exact readings, 10 Hz; `converted(order, *flags)`: its log; swing: of turns, uneven:
+    speed.
     """
 
     def run(order, *flags, truth=True, swing=False, uneven=0.0, steps=300, blur=0.0, every=1, known=False):
@@ -76,7 +75,6 @@ def converted(tmp_path):
 
 
 def asked(log):
-    """Order, flags, gain and whether the truth tells."""
     (found,) = [q.named for q in ask(log) if q.code is Code.CONTRADICTION] or [{"units": None}]
     return found if found["units"] is None else {**found, "by_truth": found["witness"] == "truth and odometry"}
 

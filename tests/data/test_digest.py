@@ -75,7 +75,6 @@ def test_detections_come_from_nothing_that_their_digest_does_not_cover():
 
 @pytest.fixture
 def program(tmp_path, monkeypatch):
-    """A program of two packages, as the digests see it."""
     for name in ("a/__init__.py", "a/deep/one.py", "b/two.py", "b/notes.txt"):
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)

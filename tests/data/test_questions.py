@@ -40,7 +40,6 @@ def asked(log: Log) -> dict[Code, Mapping[str, Value]]:
 
 
 def seen(log: Log, **changes: object) -> Log:
-    """The log with its observations changed."""
     r = log.recorded
     return replace(log, recorded=replace(r, observations=replace(r.observations, **changes)))
 
@@ -156,7 +155,6 @@ def test_of_a_single_frame_nothing_is_asked():
 
 
 def flags(log: Log) -> list[str]:
-    """All flags that mend a log, by its questions."""
     return [str(flag) for question in ask(log) for flag in question.named.get("flags", ())]
 
 

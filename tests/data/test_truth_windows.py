@@ -14,7 +14,7 @@ from data.notice import Code
 from data.questions.asked import ask
 from data.timeline import frame_times, truth_at
 from data.truth import BadTruth
-from data.truth_windows import bad_truth, misplaced, scored, without
+from data.truth_windows import bad_truth, leaps, misplaced, scored, without
 from tests.builders.logs import without_frames
 from tests.quick import slow
 
@@ -275,3 +275,16 @@ def test_a_row_marked_unknown_hides_its_neighbourhood_and_nothing_else():
     found = truth_at(time, pose, at)
     assert np.isnan(found[:, 0]).tolist() == [False, False, False, True, True, True, False, False]
     assert found[[0, 1, 2, 6, 7], 2] == pytest.approx(3.0)
+
+
+def test_a_filter_that_creeps_while_the_robot_rests_has_not_leapt_away():
+    """Seen: a path that stood still most of the time had no usual step, so each of 8 mm was a leap."""
+    rng = np.random.default_rng(4)
+    moving = np.arange(3000) % 300 < 60
+    truth = np.zeros((3000, 3))
+    truth[:, 0] = 0.002 * np.cumsum(moving)
+    other = truth.copy()
+    other[:, :2] += np.cumsum(0.001 * rng.laplace(size=(3000, 2)) * (rng.random((3000, 1)) < 0.3), axis=0)
+    assert leaps(other, truth) == []
+    other[1000:1200, 1] += 20.0
+    assert leaps(other, truth) == [(1000, 1199)]

@@ -70,7 +70,6 @@ def value(default: object) -> str:
 
 
 def sections(doc: str) -> Iterator[tuple[str, str]]:
-    """Parts of a docstring by their headings; the first has none."""
     heading, lines = "", list[str]()
     for line in doc.splitlines():
         if re.fullmatch(r"(Args|Attributes|Returns|Raises|Example):", line):
@@ -82,7 +81,6 @@ def sections(doc: str) -> Iterator[tuple[str, str]]:
 
 
 def described(doc: str) -> Iterator[str]:
-    """A docstring in Markdown: tables of parameters become lists, the example a block of Python."""
     for heading, text in sections(doc):
         if heading == "":
             yield text
@@ -100,7 +98,6 @@ def described(doc: str) -> Iterator[str]:
 
 
 def methods(thing: type) -> Iterator[tuple[str, str]]:
-    """Public methods and properties that have a docstring: call and summary."""
     inherited = {f.name for f in fields(thing)} if is_dataclass(thing) else set()
     for name, member in vars(thing).items():
         if name.startswith("_") or name in inherited:

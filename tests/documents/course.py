@@ -104,7 +104,6 @@ def notebook(name: str) -> str:
 
 
 def index() -> str:
-    """The first page: what the lessons are, and how long they take."""
     rows, total = [], 0
     for name in LESSONS:
         text = page(name)

@@ -68,7 +68,6 @@ def test_least_joint_distance_and_labels_do_on_the_recorded_runs_what_independen
     ids=["few", "many"],
 )
 def study(request):
-    """(log, runs by (estimator, association)) of seeds without people."""
     result = []
     for seed in request.param:
         log = simulate(Corridor(), seed)

@@ -16,6 +16,7 @@ from ekf.localizer import EkfLocalizer
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapper import MappingFrontEnd
 from eval.replay.settings import Setup
+from tests.builders.estimators import followed
 
 AT = 40
 WITHIN = chi2.ppf(0.9973, 3)
@@ -44,26 +45,13 @@ def kidnapped(seed, frames=60, distance=5.0):
 def replay(inputs, estimator="ekf"):
     """The front end at the end, poses (N, 3), covariances (N, 3, 3), online and final decisions (M,)."""
     front = LocalizingFrontEnd(estimator, "jcbb-hindsight", inputs, Setup())
-    pose, covariance = np.empty((len(inputs), 3)), np.empty((len(inputs), 3, 3))
-    decisions = np.full(len(inputs.observations.frame), -2)
-    for k in range(len(inputs)):
-        frame = inputs.frame(k)
-        front.move(frame)
-        if len(frame.observations.z):
-            pairing = front.associate(frame)
-            used = front.update(frame, pairing).used
-            decisions[frame.first : frame.first + len(used)] = np.where(used, pairing.decisions, -2)
-        front.tidy()
-        pose[k], covariance[k] = front.estimator.estimate()
-    front.close()
+    pose, covariance, decisions, used = followed(front, inputs)
+    decisions = np.where(used, decisions, -2)
     return front, pose, covariance, decisions, revised(decisions, front.events())
 
 
 def back_after(inputs, truth, pose, covariance):
-    """Scans of three landmarks or more from the kidnapping until the pose was within 3 sigma; None: never.
-
-    A wide covariance is not counted as being back: the position must be right to half a metre, too.
-    """
+    """Scans of three landmarks or more until the pose was within 3 sigma and half a metre; None: never."""
     scans = 0
     for k in range(AT, len(truth)):
         scans += inputs.start[k + 1] - inputs.start[k] >= 3
@@ -135,16 +123,8 @@ def mapped(seed, estimator="ekf", frames=60):
     """The front end of SLAM at the end of a log with a kidnapping, and position errors (N,)."""
     inputs, truth, _ = kidnapped(seed, frames=frames)
     inputs = inputs.without_map()
-    front, off = MappingFrontEnd(estimator, "jcbb-hindsight", inputs, Setup()), []
-    for k in range(len(inputs)):
-        frame = inputs.frame(k)
-        front.move(frame)
-        if len(frame.observations.z):
-            front.update(frame, front.associate(frame))
-        front.tidy()
-        off.append(np.hypot(*(front.estimator.estimate().mean - truth[k])[:2]))
-    front.close()
-    return front, np.array(off)
+    front = MappingFrontEnd(estimator, "jcbb-hindsight", inputs, Setup())
+    return front, np.hypot(*(followed(front, inputs)[0] - truth)[:, :2].T)
 
 
 @pytest.mark.parametrize(("seed", "estimator"), [

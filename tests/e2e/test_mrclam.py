@@ -14,6 +14,7 @@ from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.run import compare, filter_known
 from eval.replay.settings import Setup
 from eval.run_all import main
+from tests.builders.estimators import followed
 from tests.builders.tables import rows
 
 pytestmark = pytest.mark.usefixtures("tables_parsed_once")
@@ -80,17 +81,7 @@ def localize(log):
     labels = log.inputs(labels=True).observations.label
     inputs = log.inputs(labels=False)
     front = LocalizingFrontEnd("ekf", "jcbb-hindsight", inputs, Setup())
-    pose, decisions = np.empty((len(inputs), 3)), np.full(len(labels), -2)
-    for k in range(len(inputs)):
-        frame = inputs.frame(k)
-        front.move(frame)
-        if len(frame.observations.z):
-            pairing = front.associate(frame)
-            front.update(frame, pairing)
-            decisions[frame.first : frame.first + len(pairing.decisions)] = pairing.decisions
-        front.tidy()
-        pose[k] = front.estimator.estimate().mean
-    front.close()
+    pose, _, decisions, _ = followed(front, inputs)
     known = filter_known(log.inputs(labels=True), "localization").online.pose
     off = [np.nanmean(np.sum((p - log.truth.pose)[:, :2] ** 2, axis=1)) for p in (pose, known)]
     assert not front.alarms

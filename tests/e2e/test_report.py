@@ -34,7 +34,6 @@ def asked(log, estimators, out, *more):
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory, my_log):
-    """Result folder with every kind of picture, of a few estimators."""
     out = tmp_path_factory.mktemp("results") / "report"
     assert main(asked(my_log, "dead-reckoning,ekf,batch", out, "--task", "slam")) == 0
     return out

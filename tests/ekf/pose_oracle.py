@@ -144,10 +144,7 @@ SOURCE = FixSource("antenna", (0.3, -0.2), 0.1)
 
 
 def wandering(rng, frames, prior, scale=1.0):
-    """Motions, fixes and closures in both orders about one wandering path, with ends before the last frame.
-
-    `scale`: of all standard deviations.
-    """
+    """Motions, fixes and closures in both orders about one path, ends before the last frame; `scale`: of all sigmas."""
     heading, at = prior.mean[2], prior.mean[:2]
     path, motions = [np.array([*at, heading])], [None]
     for _ in range(frames - 1):

@@ -49,8 +49,7 @@ def lab_run(
     seconds: float = 1.0,
 ) -> Run:
     """A run that is right and leaves people out, but for `changes` by row of the log; off by `error` m from frame 1 on.
-
-    `removed`: frame after which a landmark, by number, was gone; its observations are discarded in the end.
+    `removed`: frame after which a landmark, by number, was gone, whose observations are discarded in the end.
     """
     true_id, frame = log.truth.landmark_of, log.recorded.observations.frame
     decisions = np.array([NEW if f == 0 else RIGHT.get(int(i), DISCARD) for f, i in zip(frame, true_id)])

@@ -136,7 +136,6 @@ TABLE = "convert table odo.csv out --observations seen.csv --odometry-sigma .05,
 
 @pytest.fixture
 def said(tmp_path, monkeypatch, refused):
-    """What a command line says, in one line, before it ends with status 2."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(first_use, "start", lambda options: "")  # kernels of another state are no slip
     (tmp_path / "odo.csv").write_text(ODOMETRY)
@@ -274,7 +273,6 @@ def test_a_reader_that_has_seen_enough_is_no_error_and_what_was_asked_for_is_don
 
 
 def strange(folder: Path) -> Path:
-    """A folder with packages of other people."""
     for name in ("data", "eval", "graph", "association", "ekf"):
         (folder / name).mkdir()
         (folder / name / "__init__.py").write_text("raise SystemExit('a stranger')\n")

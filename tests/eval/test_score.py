@@ -165,7 +165,6 @@ def matrices(separator):
 
 
 def echoed():
-    """`rostopic echo -p` of nav_msgs/Odometry."""
     position, turn = "field.pose.pose.position.", "field.pose.pose.orientation."
     names = ["%time", "field.header.seq", "field.header.stamp", "field.header.frame_id", "field.child_frame_id"]
     names += [position + a for a in "xyz"] + [turn + a for a in "xyzw"]

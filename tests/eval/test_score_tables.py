@@ -1,11 +1,13 @@
 """`slamref score` on tables: without names, with the estimate and the truth in one row, messages as YAML."""
 
 import math
+from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
 from scipy.io import savemat
 
+from data.formats.results.path import Manner
 from data.formats.results.reading import read_path
 from eval.score import main as score
 
@@ -167,3 +169,64 @@ def test_a_last_row_that_is_cut_off_is_left_out(scored, tmp_path):
             assert f"line {len(rows)}, the last one, is cut off and left out: '11.8," in said[-1]
         cut = "\n".join([*rows[:-2], ends[0], rows[-1]])
         assert f":{len(rows) - 1}: " in scored(cut, text, wrong=True)
+
+
+def test_topics_as_columns_of_sparse_rows(scored, tmp_path):
+    """A recorder's table of several topics: a row for each message, at the table's stamps."""
+    names = (
+        "__time",
+        "/ekf/pose/position/x",
+        "/ekf/pose/position/y",
+        "/mocap/data/x",
+        "/mocap/data/y",
+        "/imu/angular/x",
+    )
+    rows = [f"{t + 0.01},{x:.9g},{y:.9g},,," for t, (x, y, _) in zip(T, MINE, strict=True)]
+    rows += [f"{t},,,{x:.9g},{y:.9g}," for t, (x, y, _) in zip(T, TRUE, strict=True)]
+    rows += [f"{t + 0.02},,,,,0.5" for t in T]
+    text = "\n".join([",".join(names), *sorted(rows, key=lambda row: float(row.split(",")[0]))])
+    assert "topics /ekf, /mocap/data: type which" in scored(text, wrong=True)
+    assert "no line of data of /odom" in scored(text, flags=(f"{tmp_path / '0.csv'}:/odom",), wrong=True)
+    file = tmp_path / "0.csv"
+    keys = ("estimate.x", "estimate.y", "truth.x", "truth.y")
+    stated = ("--columns", ",".join(f"{k}={n}" for k, n in zip(keys, names[1:], strict=False)))
+    expected = scored(table(WHOLE | {"t": T + 0.01}), table(WHOLE | {"x": TRUE[:, 0]}))["rmse_position_m"]
+    assert scored(text, flags=stated)["rmse_position_m"] == pytest.approx(expected)
+    file.write_text(text + "\n")
+    assert scored(flags=(f"{file}:/ekf", f"{file}:mocap/data"))["rmse_position_m"] == pytest.approx(expected)
+
+
+def test_rows_that_end_before_the_header(scored, tmp_path):
+    rows = [
+        f"{t:.9g},{x:.9g},{y:.9g},1" + ",2" * (k % 4 == 0) for k, (t, (x, y, _)) in enumerate(zip(T, TRUE, strict=True))
+    ]
+    text = "\n".join(["time,ins_x,ins_y,mode,more", *rows])
+    names = ("--columns", "truth.x=ins_x,truth.y=ins_y")
+    assert scored(table(WHOLE), text, flags=names)["rmse_position_m"] == pytest.approx(0.1)
+    path = read_path(str(tmp_path / "1.csv"), Manner(columns={"x": "ins_x", "y": "ins_y"}))
+    assert any("45 of 60 rows end before the header" in note for note in path.notes)
+    assert "ins_x may be x; type --columns truth.x=ins_x" in scored(table(WHOLE), text, wrong=True)
+    assert "4 fields" in scored(table(WHOLE), text, flags=("--columns", "truth.x=more,truth.y=ins_y"), wrong=True)
+    whole = [f"{row},2" if row.endswith(",1") else row for row in text.splitlines()]
+    lost = "\n".join([*whole[:5], whole[5].rpartition(",")[0], *whole[6:]])
+    assert "4 fields" in scored(table(WHOLE), lost, flags=names, wrong=True)  # one may lack any field
+
+
+@pytest.mark.parametrize(
+    "form", ["%Y-%m-%d %H:%M:%S.%f", "%Y/%m/%dT%H:%M:%S.%fZ", "%d-%b-%Y %H:%M:%S.%f", "%H:%M:%S.%f"]
+)
+def test_dates_are_stamps(scored, form):
+    at = [(datetime(2021, 7, 16, 15) + timedelta(seconds=t)).strftime(form) for t in T]
+    rows = "\n".join(["stamp,x,y", *(f"{t},{x:.9g},{y:.9g}" for t, (x, y, _) in zip(at, MINE, strict=True))])
+    truth = "\n".join(["stamp,x,y", *(f"{t},{x:.9g},{y:.9g}" for t, (x, y, _) in zip(at[:31], TRUE, strict=False))])
+    values = scored(rows, truth)
+    assert (values["rmse_position_m"], values["matched"]) == (pytest.approx(0.1), 31)
+    assert scored(rows, truth, flags=("--unit", "t=iso")) == values
+    assert "has no dates" in scored(rows, table(WHOLE), flags=("--unit", "iso"), wrong=True)
+    assert "is no date" in scored(rows.replace(at[3], "now"), truth, wrong=True)
+
+
+def test_rows_of_both_whose_stamps_repeat_are_compared_one_by_one(scored):
+    text = table({"time": np.floor(T), "x": MINE[:, 0], "y": MINE[:, 1], "gt_x": TRUE[:, 0], "gt_y": TRUE[:, 1]})
+    values = scored(text)
+    assert (values["rmse_position_m"], values["matched"]) == (pytest.approx(0.1), 60)

@@ -18,7 +18,6 @@ from tests.eval.tuning.stated import SMALL, changed
 
 @pytest.fixture
 def stated(tmp_path):
-    """An arena with sigmas twice too large, as a folder."""
     write_folder(changed(simulate(replace(SMALL, frames=40), 5), noise=2.0), tmp_path / "stated")
     return tmp_path / "stated"
 

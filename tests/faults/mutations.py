@@ -155,7 +155,6 @@ def npy_header(shape: object, descr: object, *, fortran: object = False, version
 
 
 def npy(content: bytes, rng: Rng) -> bytes:
-    """An npy file whose header lies."""
     stream = io.BytesIO(content)
     try:
         version = np.lib.format.read_magic(stream)
@@ -188,7 +187,6 @@ _ZEROS: list[bytes] = []
 
 
 def zeros() -> bytes:
-    """`BOMB` zeros, raw deflated."""
     if not _ZEROS:
         deflate = zlib.compressobj(9, zlib.DEFLATED, -15)
         block = bytes(1 << 20)

@@ -87,7 +87,6 @@ def files_of(folder: Path) -> Files:
 
 
 def made(make: Callable[[Path], object]) -> Files:
-    """Files that a function writes into a folder."""
     with tempfile.TemporaryDirectory() as folder:
         make(Path(folder))
         return files_of(Path(folder))

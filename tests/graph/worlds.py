@@ -18,9 +18,8 @@ R_POLAR, R_POINT = np.array([[0.01, 0.001], [0.001, 0.0009]]), np.array([[0.02, 
 
 
 def circle(sensor, *, frames=60, landmarks=8, noise=1.0, seed=0, see=0.7, R=None, P0=None, heading=0.4):
-    """(Inputs with a map and labels, true poses, true landmarks); `noise` scales what is drawn, not what is stated.
-
-    landmarks: how many, or where they are; R: covariance of a reading.
+    """(Inputs with a map and labels, true poses, true landmarks); `noise` scales what is drawn, not what is stated;
+    landmarks: how many, or where; R: covariance of a reading.
     """
     rng = np.random.default_rng(seed)
     xy = rng.uniform(-5.0, 5.0, (landmarks, 2)) if isinstance(landmarks, int) else landmarks

@@ -193,13 +193,8 @@ CASES: dict[str, Case] = {
 
 
 def run(case: Case, folder: Path) -> tuple[int, Path]:
-    """The exit status of a case that is run in a folder of its own, and its result folder there.
-
-    What the product keeps for the next time (runs of studies, pictures found) it keeps in that folder, so that nothing
-    comes out of an earlier run.
-
-    Raises:
-        RuntimeError: the command has written nothing; with what it said.
+    """Exit status and result folder of a case in a folder of its own, where all that the product keeps is kept, too.
+    RuntimeError: the command has written nothing; with what it said.
     """
     import slamref
 

@@ -43,9 +43,7 @@ LEFT_OUT_FILES = {
     "runs/*/lab.txt": "the decisions once more",
 }
 """Files, as patterns, that nothing is kept of, and why."""
-LEFT_OUT_COLUMNS = {
-    ("metrics.csv", "lost_why"): "a sentence",
-}
+LEFT_OUT_COLUMNS = {("metrics.csv", "lost_why"): "a sentence"}
 """File and column that nothing is kept of, and why."""
 EXACT_ONLY = {
     ("metrics.csv", "iterations"): "rounding decides whether an optimizer takes one more step",
@@ -57,8 +55,6 @@ EXACT_ONLY = {
 
 @dataclass(frozen=True)
 class Digest:
-    """What is kept of a column."""
-
     exact: str  # beginning of the SHA-256 of its text
     # rows, blanks: how many cells, and how many of them hold no number
     rows: int
@@ -161,7 +157,6 @@ def digests(columns: Mapping[str, Columns]) -> dict[str, dict[str, str]]:
 def compare(
     now: Mapping[str, Mapping[str, str]], kept: Mapping[str, Mapping[str, str]], *, exact: bool, close: float = CLOSE
 ) -> Iterator[tuple[str, str, str]]:
-    """File, column, and what is different there."""
     for name, columns in kept.items():
         if name not in now:
             yield name, "", "vanished"

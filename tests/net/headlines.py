@@ -18,13 +18,11 @@ WORST_SHARE = 0.05
 
 
 def marks(report: Path) -> dict[tuple[str, str], tuple[str, str]]:
-    """Mark and word of each log and task in a report.md."""
     found = map(ROW.match, report.read_text("utf-8").splitlines())
     return {(m["log"], m["task"]): (m["mark"], m["word"]) for m in found if m}
 
 
 def contradictions(folder: Path) -> Iterator[str]:
-    """What a result folder's headline says against its own numbers."""
     seen = marks(folder / "report.md")
     metrics, decisions = (pd.read_csv(folder / name) for name in ("metrics.csv", "association.csv"))
     for log in json.loads((folder / "report.json").read_text("utf-8"))["logs"]:

@@ -9,9 +9,8 @@ from tests.net.digest import Columns, numbers
 def differences(
     here: Mapping[str, Columns], there: Mapping[str, Columns], tolerance: float
 ) -> Iterator[tuple[str, str, str]]:
-    """File, column, and what is different there: what has vanished, other words, numbers that are farther apart.
-
-    Apart means relative to the largest absolute value of the column as it was there.
+    """File, column, and what is different: what has vanished, other words, numbers that are farther apart, relative to
+    the largest absolute value of the column as it was there.
     """
     for name, columns in there.items():
         if name not in here:

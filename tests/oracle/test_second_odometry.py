@@ -38,10 +38,7 @@ def two_odometries(seed, frames, scale=1.0):
 
 
 def test_each_step_is_the_weighted_mean_of_both():
-    """Both measure the same three numbers of a step: (A^-1 + B^-1)^-1 (A^-1 a + B^-1 b).
-
-    Errors of 2 to 5e-5 leave 1e-9 of gtsam's error by the logarithm of a pose, which is not additive.
-    """
+    """(A^-1 + B^-1)^-1 (A^-1 a + B^-1 b); errors of 2 to 5e-5 leave 1e-9 of gtsam's, by the logarithm of a pose."""
     inputs, _ = two_odometries(0, 12, 1e-3)
     a, A = inputs.increments.mean[1:], np.linalg.inv(inputs.increments.covariance[1:])
     b, B = inputs.closures.relative, np.linalg.inv(inputs.closures.covariance)

@@ -21,7 +21,6 @@ ROTATION = (0.0, 0.0, 0.0, 1.0)
 
 @pytest.fixture(scope="module")
 def scored():
-    """Log, run, the row of metrics.csv, and errors frame by frame."""
     log = open_log("arena:3")
     (run,) = compare(log.inputs(labels=True), "localization", ["ekf"])
     (row,) = score([Trial(log, "localization", (run,))]).metrics.to_dict("records")

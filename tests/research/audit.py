@@ -259,7 +259,6 @@ def chance(drawn: Spoilt, s: Structure) -> Chance:
 
 
 def applies(name: str, case: Case) -> bool:
-    """Whether a structure can have an error of this kind."""
     if name == "landmarks":
         return case.kind in (STEPS, NOISE, SWAPPED) or (case.kind == LOOPS and case.strength < ELSEWHERE)
     return case.kind != SWAPPED
@@ -286,7 +285,6 @@ class Row(NamedTuple):
 
 
 def row_of(name: str, k: int, case: Case, poses: int) -> Row:
-    """Draw a graph and examine it."""
     s, begin = structure(name, poses, k), time.process_time()
     drawn = spoilt(s, case, np.random.default_rng([k, 1 + (case != NONE)]))
     could = chance(drawn, s) if drawn.false else Chance(np.nan, 0, np.nan)
@@ -303,9 +301,8 @@ def row_of(name: str, k: int, case: Case, poses: int) -> Row:
 
 
 def table(out: Path, graphs: int, poses: int, sound: int, names: Collection[str] = tuple(STRUCTURES)) -> pd.DataFrame:
-    """Each kind of error in each structure; graphs to OUT/audit-graphs.csv, shares of them to OUT/audit-table.csv.
-
-    Graphs of the file are not drawn again. `sound` graphs have no error, and are as many times the size.
+    """Each kind of error in each structure; graphs to OUT/audit-graphs.csv, where none is drawn again, shares of them
+    to OUT/audit-table.csv. `sound` graphs have no error, and are as many times the size.
     """
     file = out / "audit-graphs.csv"
     out.mkdir(parents=True, exist_ok=True)

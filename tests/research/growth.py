@@ -130,7 +130,6 @@ def cost(work: Callable[[], object]) -> float:
 
 
 def lines(what: str, quick: bool) -> list[Timed]:
-    """Costs of one quantity at all its sizes (`quick`: the first three)."""
     if what == "processes":
         runs, most = (10, 2) if quick else (100, max(os.cpu_count() or 1, 2))
         scenario = load_scenario("circle").only(("ekf",))

@@ -53,8 +53,6 @@ GRID, START = 0.02, 11.98  # s: of frames, and of 599 of them
 
 @dataclass(frozen=True)
 class Tutorial:
-    """Settings of a tutorial's program, and its result."""
-
     name: str
     task: str
     alphas: tuple[float, float, float, float]  # of the control noise, convention `displacement`
@@ -98,10 +96,7 @@ STEPS = {
 
 
 class GainFromBefore(EkfLocalizer):
-    """EKF localization whose gain has the covariance from before the prediction, K = P- H' S^-1.
-
-    S is correctly formed from the predicted covariance; (I - K H) P is not made symmetric.
-    """
+    """EKF localization with the gain P- H' S^-1 of the covariance before the prediction, though S is of that after."""
 
     def predict(self, increment: Increment) -> None:
         self._version += 1
@@ -193,7 +188,6 @@ def without_frames_led_by(landmark: int | None, log: Log) -> Log:
 
 
 def recorded(step: int, source: Path, landmarks: Path | None) -> Log:
-    """The recording as a step's program reads it."""
     t = STEPS[step]
     motion = VelocityModel(VelocityNoise("displacement", alphas=t.alphas), "half_angle")
     calibration = replace(Calibration().with_sigma(*t.sigma), motion=motion)
@@ -208,7 +202,6 @@ def recorded(step: int, source: Path, landmarks: Path | None) -> Log:
 
 
 def run(step: int, log: Log) -> Run:
-    """A step's program on its log."""
     t = STEPS[step]
     inputs = log.inputs(labels=t.association == "known")
     if t.task == "slam":

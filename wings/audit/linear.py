@@ -180,10 +180,8 @@ class System:
 
 
 def linearize(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> System:
-    """The graph around the values. Empty slots have no group; variables without a factor no column.
-
-    Raises DataError for a factor of an unknown variable, one that gtsam cannot evaluate, or one whose residual or
-    Jacobian is not finite, or has another shape than its noise and variables ask for.
+    """The graph around the values; empty slots have no group, variables without a factor no column. DataError: an
+    unknown variable, or what gtsam cannot evaluate, is not finite, or has another shape than noise and variables.
     """
     dims = values.dims()
     used = sorted(graph.keyVector())

@@ -121,10 +121,8 @@ LEAVE_OUT, ROBUST = "leave-out", "robust"  # what becomes of rejected factors
 
 
 def cured(before: Opened, out: Path, draws: int = DRAWS, seed: int = 0, rejected: str = LEAVE_OUT) -> pd.DataFrame:
-    """Write the graph with variance components applied and rejected factors cured; a row before and one after.
-
-    `rejected`: what becomes of rejected factors. Raises UsageError where the graph is of no file, DataError if what is
-    left out leaves a part without a factor.
+    """Write the graph with variance components applied and rejected factors cured (`rejected`: how); a row before and
+    one after. UsageError: a graph of no file. DataError: a part would have no factor.
     """
     if before.file is None:
         raise UsageError(f"--rescale {out}: only a graph file can be written; a .g2o or .graph is needed")

@@ -100,11 +100,9 @@ def pixel_factor(
 
 
 def estimate_camera(inputs: Inputs, corners: Array, seen: Sightings, before: Belief, start: Array) -> CameraEstimate:
-    """K, path and heights that fit commands, prior and pixels best.
-
-    The observations of `inputs` are not used; `corners` (L, 4, 2) [m] are surveyed, in the plan, and `before` is the
-    prior of K. The search begins at poses `start` (N, 3), as a filter's, and the prior's mean. Raises UnderConstrained:
-    it does not converge, or the data leave a variable undetermined.
+    """K, path and heights that fit commands, prior and pixels best, not the observations of `inputs`; `corners` (L, 4,
+    2) [m]: surveyed, in the plan, `before`: prior of K, `start` (N, 3): poses to search from, as a filter's.
+    UnderConstrained: no convergence, or a variable is undetermined.
     """
     steps, _ = between_factors(1, inputs.increments.mean[1:], inputs.increments.covariance[1:])
     found = np.unique(seen.picture).tolist()

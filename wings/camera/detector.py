@@ -100,10 +100,8 @@ def root_sift(descriptor: Any) -> Descriptors:
 
 
 def match(scene: Features, references: list[Features]) -> list[tuple[Indices, Indices]]:
-    """Pairs (feature of the picture, feature of the scene) per picture, each feature in at most one pair.
-
-    A scene's feature is paired with its nearest among all pictures if it passes the ratio test against the second
-    nearest, and is in turn the nearest of that feature (mutual).
+    """Pairs (feature of the picture, feature of the scene) per picture, one to one: the nearest among all pictures by
+    the ratio test against the second nearest, and mutual.
     """
     n = len(scene)
     if n == 0:
@@ -189,10 +187,8 @@ def first_homography(source: Array, target: Array, threshold: float) -> Array | 
 
 
 def refine(H: Array, source: Features, target: Features, rounds: int = 10) -> Fit:
-    """Weighted least squares over paired features (Gauss-Newton), with noise by their scales.
-
-    Pairs beyond `GATE` standard deviations are dropped (and may return); the covariance is scaled by the residuals,
-    never below the assumed noise. np.linalg.LinAlgError where the pairs do not fix a homography.
+    """Gauss-Newton over paired features, with noise by their scales; pairs beyond `GATE` sigmas are dropped (and may
+    return), the covariance is scaled by the residuals, never below the noise. np.linalg.LinAlgError: no homography.
     """
     h = H.ravel()[:8] / H[2, 2]
     x, y = source.place.T
@@ -308,10 +304,8 @@ def inside(pixels: Array, shape: tuple[int, int]) -> NDArray[np.intp]:
 
 
 def fit_plane(pixels: Array, depth: Array) -> Array:
-    """Plane through points at pixels (n, 2) with depth (n,) m, as 1/z = a u + b v + c: (3,).
-
-    1/z of a plane is linear in the pixel, with nearly constant stereo noise. Reweighted least absolute deviations, then
-    Tukey's biweight tolerate a third of wrong depths.
+    """1/z = a u + b v + c (3,) through pixels (n, 2) with depth (n,) m: linear, with nearly constant stereo noise.
+    Least absolute deviations, then Tukey's biweight tolerate a third of wrong depths.
     """
     centre = pixels.mean(axis=0)
     A = np.column_stack([pixels - centre, np.ones(len(pixels))])

@@ -79,11 +79,9 @@ def _encoded(rgb: Any, quality: int) -> bytes:
 
 
 def measure_noise(pixels: Array, points: Array) -> tuple[float, float, float]:
-    """Focal length [px], sigma of a corner in the image [px], and k [1/m] of sigma_z = k z^2; NaN: unknown.
-
-    Upper and lower corner of a side have the same u and z in a level camera, so their differences, about the median,
-    give the noise without ground truth. Noise common to all corners of a picture is not included. From pixels and
-    points (D, 4, .) of at least `ENOUGH` sides.
+    """Focal length [px], sigma of a corner [px], k [1/m] of sigma_z = k z^2 (NaN: unknown), of pixels and points (D, 4,
+    .) of at least `ENOUGH` sides: in a level camera a side's corners have one u and z, so differences about the median
+    are noise. Noise common to all corners of a picture is not included.
     """
     p, q = points.reshape(-1, 3), pixels.reshape(-1, 2)
     known = np.isfinite(p).all(axis=1)

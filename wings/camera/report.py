@@ -73,10 +73,8 @@ def write_models(folder: Path, wanted: Output, log: Log) -> None:
 
 
 def statistics_of(evidence: Evidence) -> pd.DataFrame:
-    """A row per picture, and a column for each reason it was not found for; unknown is blank, as the truth is.
-
-    In view: fully, near enough and not too oblique. Of these found: where it is. Wrong: detections that lie on another
-    picture in view, or elsewhere than this one while it is in view.
+    """A row per picture with a column for each reason it was not found; unknown is blank. In view: fully, near, not too
+    oblique; of these found: where it is; wrong: on another picture in view, or elsewhere than this one.
     """
     found, truth = evidence.found, evidence.in_view
     shown = None if truth is None else true_pictures(found, truth)

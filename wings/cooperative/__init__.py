@@ -2,11 +2,7 @@
 
 from data.wing import Wing, World
 
-TEAM = World(
-    "wings.cooperative.world",
-    "Team",
-    "team:0 or team:0:robots=3+exchange=naive",
-)
+TEAM = World("wings.cooperative.world", "Team", "team:0 or team:0:robots=3+exchange=naive")
 
 wing = Wing(
     "cooperative",

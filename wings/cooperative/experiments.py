@@ -1,12 +1,27 @@
-"""The experiments of `slamref run NAME --cooperative`: each robot of a team with each exchange."""
+"""The experiments of `slamref run NAME --cooperative`: each robot of a team, of a UTIAS dataset too, by exchange."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from data.errors import UsageError
-from data.formats.mrclam import is_mrclam
+import numpy as np
+
+from data.errors import DataError, UsageError
+from data.formats.mrclam import (
+    ROBOTS,
+    Recorded,
+    Treatment,
+    corrected_landmarks,
+    is_mrclam,
+    open_files,
+    read_landmarks,
+    read_robot,
+    robot_file,
+    robot_log,
+    subjects_of,
+)
+from data.inputs import Inputs
 from data.log import Log
 from data.logs import Reading, as_scored
 from data.worlds import registry
@@ -14,8 +29,7 @@ from eval.plan.experiment import Experiment, Work, default_task
 from eval.plan.flags.table import Selection
 from eval.replay.settings import Setup
 from wings.cooperative.runs import ESTIMATORS, lack
-from wings.cooperative.team import EXCHANGES, TeamInputs
-from wings.cooperative.utias import team_logs
+from wings.cooperative.team import EXCHANGES, TeamInputs, team_of
 from wings.cooperative.world import simulate_all
 
 ABOUT = {
@@ -28,11 +42,8 @@ ABOUT = {
 def experiments(
     name: str, asked: Selection, setup: Setup, reading: Reading, say: Callable[[str], None]
 ) -> list[Experiment]:
-    """All robots of a team, jointly, and as variants alone and with each exchange.
-
-    Raises:
-        UsageError: a name of no team, or nothing that a team can do.
-        DataError: invalid files.
+    """All robots of a team, jointly, and as variants alone and with each exchange. UsageError: a name of no team, or
+    nothing that a team can do. DataError: invalid files.
     """
     logs = [as_scored(log, reading) for log in named_team(name)]
     methods = asked.association or ("known",)
@@ -69,9 +80,8 @@ def _why(estimators: tuple[str, ...], task: str, methods: tuple[str, ...]) -> st
 
 
 def named_team(name: str) -> list[Log]:
-    """The logs of all robots of a team, `NAME-robotN`: of a UTIAS dataset by its path, or of a simulated team.
-
-    `arena:SEED:robots=N+KEY=VALUE` is the same as `team:SEED:...`. Raises UsageError for a name of no team.
+    """The logs of all robots of a team, `NAME-robotN`: of a UTIAS dataset by its path, or of `team:SEED:...`, which is
+    `arena:SEED:robots=N+KEY=VALUE`. Raises UsageError for a name of no team.
     """
     world, _, rest = name.partition(":")
     if world == "team" or (world == "arena" and "robots=" in rest):
@@ -85,3 +95,50 @@ def named_team(name: str) -> list[Log]:
         return team_logs(path)
     right = "name a UTIAS MRCLAM dataset (its folder or zip), or arena:SEED:robots=5"
     raise UsageError(f"--cooperative {name}: no team of robots; {right}")
+
+
+def team_logs(source: Path) -> list[Log]:
+    """The logs of all robots of a dataset (folder or zip) with ground truth, ascending; each starts and ends as without
+    the others, barcodes are sensed labels. DataError: missing or invalid files, or fewer than two.
+    """
+    files = open_files(source)
+    there = [robot for robot in files.robots() if robot in ROBOTS]
+    true = [robot for robot in there if robot_file(robot, "Groundtruth") in files.names]
+    if len(true) < 2:
+        named = ", ".join(map(str, true)) or "none"
+        raise DataError.at(source, f"robots with odometry, measurements and ground truth: {named}; a team needs two")
+    treatment = Treatment(landmarks=corrected_landmarks(source))
+    survey, subjects = read_landmarks(files, treatment.landmarks), subjects_of(files)
+    given = [read_robot(files, true[0], subjects, treatment)]
+    given += [read_robot(files, robot, subjects, treatment, given[0].origin) for robot in true[1:]]
+    split = [_split(robot) for robot in given]
+    instants = np.unique(np.concatenate([seen.at for _, seen in split]))
+    logs = []
+    for own, _ in split:
+        also = instants[(instants >= own.first) & (instants <= own.last)]
+        logs.append(robot_log(source, files, survey, own, treatment, also))
+    seen, clocks = [], [log.clock for log in logs]
+    for log, (_, robots) in zip(logs, split, strict=True):
+        ticks, wanted = (np.rint(1e6 * t) for t in (log.recorded.time + log.clock, robots.at))
+        R = treatment.calibration.noise(robots.z)
+        seen.append((np.searchsorted(ticks, wanted), robots.z, R, robots.seen))
+    members, labels = [log.recorded for log in logs], [np.asarray(log.granted) for log in logs]  # barcodes
+    team = team_of(true, members, labels, clocks, seen, sensed=True)
+    left = [robot for robot in there if robot not in true]
+    notes = tuple(f"Robot {r} has no ground truth, so its start in the map is unknown: left out." for r in left)
+    made = []
+    for row, log in enumerate(logs):
+        values = {f.name: getattr(log.recorded, f.name) for f in fields(Inputs) if f.init}
+        made.append(replace(log, recorded=TeamInputs(**values, team=team, robot=row), notes=(*log.notes, *notes)))
+    return made
+
+
+def _split(given: Recorded) -> tuple[Recorded, Recorded]:
+    """What a robot observed of landmarks (and of nobody), and of robots while its log lasts."""
+    robots = np.isin(given.seen, ROBOTS)
+    inside = (given.at >= given.first) & (given.at <= given.last)
+
+    def only(rows: np.ndarray) -> Recorded:
+        return replace(given, at=given.at[rows], z=given.z[rows], seen=given.seen[rows], barcode=given.barcode[rows])
+
+    return only(~robots), only(robots & inside)

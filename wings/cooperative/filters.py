@@ -18,7 +18,7 @@ import numpy as np
 
 from association.decide import decide, known_decisions
 from association.expectation import Expectation, SingularInnovationError, statistics
-from data.blocks import add_to_diagonal, diagonal_blocks, squared_norms
+from data.blocks import add_to_diagonal, diagonal_blocks, squared_norms, whitened
 from data.inputs import Inputs, IntArray, LabelledObservations, LandmarkMap
 from data.result import DISCARD, NEW, MapState
 from data.se2 import Array, BoolArray, wrap_angle
@@ -67,10 +67,7 @@ def _blank(team: Team, row: int) -> Track:
 
 
 class TeamFilter:
-    """The filters of all robots, as one mean (d,) and covariance (d, d).
-
-    Poses are in front, landmarks after them. Without a joint state the covariance has blocks on its diagonal alone.
-    """
+    """The filters of all robots: one mean (d,) and covariance (d, d), of blocks without a joint state; poses first."""
 
     def __init__(self, team: Team, known: LandmarkMap | None, exchange: str, gates: Gates) -> None:
         self.team, self.known, self.exchange, self.gates = team, known, exchange, gates
@@ -168,7 +165,7 @@ class TeamFilter:
             track.decisions[seen[~passed]] = DISCARD
             two = np.repeat(passed, 2)
             if passed.any():
-                track.white[seen[passed]] = _white(nu[passed], S[two][:, two])
+                track.white[seen[passed]] = whitened(nu[passed], diagonal_blocks(S[two][:, two]))
                 self.correct(H[two], nu[passed].ravel(), S[two][:, two], track, frame)
         for i in np.flatnonzero(fresh).tolist():
             self._begin(row, z[i], R[i], int(label[i]))
@@ -298,8 +295,3 @@ def intersected(P: Array, H: Array, Q: Array, R: Array) -> tuple[Array, Array]:
     if not gain[best] < 0.0:
         return np.zeros((len(P), len(R))), P
     return independent(P / WEIGHTS[best], H, Q / (1.0 - WEIGHTS[best]), R)
-
-
-def _white(nu: Array, S: Array) -> Array:
-    """Innovations (k, 2) over the roots of their own covariances."""
-    return np.asarray(np.linalg.solve(np.linalg.cholesky(diagonal_blocks(S)), nu[:, :, None])[:, :, 0])

@@ -73,10 +73,7 @@ def rows_of(log: Log, run: Run) -> list[dict[str, object]]:
 
 
 def judged(team: Team, row: int, sighted: IntArray) -> Confusion | None:
-    """Outcomes of a robot's decisions (s,) about other robots, as `eval.referee.confusion` has them of landmarks.
-
-    The identities read, barcodes of a dataset and the true ones of a simulated team, are the reference.
-    """
+    """Outcomes of a robot's decisions (s,) about other robots, as of landmarks, by the identities that were read."""
     seen = team.of(row)
     others = np.array([n for n in team.number if n != team.number[row]], np.int64)
     places = LandmarkMap(others, np.zeros((len(others), 2)))

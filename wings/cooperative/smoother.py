@@ -17,21 +17,7 @@ from gtsam.symbol_shorthand import L, X
 from data.inputs import IntArray, LandmarkMap
 from data.result import DISCARD, MapState, Trajectory
 from data.se2 import Array, covariances_in_world
-from graph.factors import (
-    EXACT,
-    Factor,
-    UnderConstrained,
-    bearing_range,
-    between_factors,
-    known_landmark_factors,
-    landmark_factors,
-    name_of,
-    noise,
-    observation_roots,
-    pose2,
-    pose_array,
-    prior_factor,
-)
+from graph import factors
 from graph.qr.elimination import Rows, Structure, eliminate, marginals, means, ordering, structure
 from graph.qr.rows import Chunk, variables_of
 from wings.cooperative.team import Team
@@ -77,47 +63,47 @@ def smooth_team(
         UnderConstrained: naming what is not determined, or without convergence.
     """
     first = np.append(0, np.cumsum([len(m) for m in team.members]))
-    factors, own = list[Factor](), list[tuple[int, Array | gtsam.Pose2]]()
+    every, own = list[factors.Factor](), list[tuple[int, Array | gtsam.Pose2]]()
     observed = 0
     for row, member in enumerate(team.members):
-        prior = replace(member.prior, covariance=member.prior.covariance + EXACT**2 * np.eye(3))
-        factors.append(prior_factor(prior).rekey([X(int(first[row]))]))
+        prior = replace(member.prior, covariance=member.prior.covariance + factors.EXACT**2 * np.eye(3))
+        every.append(factors.prior_factor(prior).rekey([X(int(first[row]))]))
         motion = member.increments
-        factors += between_factors(int(first[row]) + 1, motion.mean[1:], motion.covariance[1:])[0]
+        every += factors.between_factors(int(first[row]) + 1, motion.mean[1:], motion.covariance[1:])[0]
         used = np.flatnonzero(landmark[row] != DISCARD)
         o, number = member.observations, landmark[row][used]
         seen = (member.sensor, o.z[used], o.R[used], first[row] + o.frame[used], number)
         made = (
-            landmark_factors(*seen)
+            factors.landmark_factors(*seen)
             if known is None
-            else known_landmark_factors(*seen, known.positions(number), int(observed))
+            else factors.known_landmark_factors(*seen, known.positions(number), int(observed))
         )
-        factors += [f for each in made for f in each.measured]
+        every += [f for each in made for f in each.measured]
         own += [value for each in made for value in each.start_values]
         paired = team.of(row)[sighted[row] != DISCARD]
-        factors += _encounters(team, row, paired, sighted[row][sighted[row] != DISCARD], first)
+        every += _encounters(team, row, paired, sighted[row][sighted[row] != DISCARD], first)
         observed += len(used) + len(paired) if known is None else len(used)
     values, count = gtsam.Values(), int(first[-1])
     for k, pose in enumerate(np.concatenate(start)):
-        values.insert(X(k), pose2(pose))
+        values.insert(X(k), factors.pose2(pose))
     for name, xy in places.items():
         values.insert(L(name), xy)
     for key, at in own:
         values.insert(key, at)
     labels = np.array(sorted(places), np.int64)
-    return _optimum(team, _Linear(factors, count, labels), values, first)
+    return _optimum(team, _Linear(every, count, labels), values, first)
 
 
-def _encounters(team: Team, row: int, seen: IntArray, number: IntArray, first: IntArray) -> list[Factor]:
+def _encounters(team: Team, row: int, seen: IntArray, number: IntArray, first: IntArray) -> list[factors.Factor]:
     """Factors between two poses, of encounters (k,) by a robot of robots `number` (k,)."""
     s, sensor = team.encounters, team.members[row].sensor
     here = first[row] + team.frame[row, s.instant[seen]]
     rows = np.array([team.row(n) for n in number.tolist()], np.int64)
     there = first[rows] + team.frame[rows, s.instant[seen]]
-    h, C = bearing_range(sensor, s.z[seen], s.R[seen])
-    roots = observation_roots(C, s.R[seen], team.frame[row, s.instant[seen]])
+    h, C = factors.bearing_range(sensor, s.z[seen], s.R[seen])
+    roots = factors.observation_roots(C, s.R[seen], team.frame[row, s.instant[seen]])
     return [
-        gtsam.BearingRangeFactorPose2(X(a), X(b), gtsam.Rot2(z[0]), z[1], noise.Gaussian.SqrtInformation(root))
+        gtsam.BearingRangeFactorPose2(X(a), X(b), gtsam.Rot2(z[0]), z[1], factors.noise.Gaussian.SqrtInformation(root))
         for a, b, z, root in zip(here.tolist(), there.tolist(), h, roots, strict=True)
     ]
 
@@ -125,11 +111,11 @@ def _encounters(team: Team, row: int, seen: IntArray, number: IntArray, first: I
 class _Linear:
     """Factors as whitened rows; landmarks of a known map, which have a variable each, are left out of them."""
 
-    def __init__(self, factors: Sequence[Factor], poses: int, labels: IntArray) -> None:
-        self.poses, self.labels, self.height = poses, labels, np.array([f.dim() for f in factors], np.int64)
-        self.chunk = Chunk.of([[f] for f in factors], 0, self.height, poses, labels)
-        self.graph, self.variable = self.chunk.graph, np.full((len(factors), 2), -1)
-        for block, f in enumerate(factors):
+    def __init__(self, every: Sequence[factors.Factor], poses: int, labels: IntArray) -> None:
+        self.poses, self.labels, self.height = poses, labels, np.array([f.dim() for f in every], np.int64)
+        self.chunk = Chunk.of([[f] for f in every], 0, self.height, poses, labels)
+        self.graph, self.variable = self.chunk.graph, np.full((len(every), 2), -1)
+        for block, f in enumerate(every):
             variable, _ = variables_of(f.keys(), poses, labels)
             there = variable[variable >= 0]
             self.variable[block, : len(there)] = there
@@ -151,7 +137,7 @@ class _Linear:
         return values.retract(vector)
 
     def name(self, variable: int) -> str:
-        return name_of(X(variable) if variable < self.poses else L(int(self.labels[variable - self.poses])))
+        return factors.name_of(X(variable) if variable < self.poses else L(int(self.labels[variable - self.poses])))
 
 
 def _optimum(team: Team, linear: _Linear, values: gtsam.Values, first: IntArray) -> TeamSmoothed:
@@ -161,7 +147,7 @@ def _optimum(team: Team, linear: _Linear, values: gtsam.Values, first: IntArray)
         rows = linear.rows(values)
         triangle = eliminate(rows, linear.structure)
         if triangle.free >= 0:
-            raise UnderConstrained(f"{linear.name(triangle.free)} is not determined by the observations")
+            raise factors.UnderConstrained(f"{linear.name(triangle.free)} is not determined by the observations")
         delta, length = means(rows, linear.structure, triangle)[:, :, 0], float(np.linalg.norm(triangle.d))
         if length < STEP or step == MOST:
             break
@@ -176,12 +162,12 @@ def _optimum(team: Team, linear: _Linear, values: gtsam.Values, first: IntArray)
             break
         values, error = moved, cost
     covariance, _ = marginals(rows, linear.structure, triangle, np.zeros((0, 2), np.int64))
-    sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), EXACT**2))
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), factors.EXACT**2))
     left = float((np.abs(delta) / sigma).max())
-    P = covariance + EXACT**2 * np.eye(3)
+    P = covariance + factors.EXACT**2 * np.eye(3)
     if not (delta * np.linalg.solve(P, delta[:, :, None])[:, :, 0]).sum(1).max() < ADDED:
-        raise UnderConstrained(f"no optimum after {step} steps: {left:.2g} sigma are left")
-    pose = np.array([pose_array(values.atPose2(X(k))) for k in range(linear.poses)])
+        raise factors.UnderConstrained(f"no optimum after {step} steps: {left:.2g} sigma are left")
+    pose = np.array([factors.pose_array(values.atPose2(X(k))) for k in range(linear.poses)])
     world = covariances_in_world(pose[:, 2], covariance[: linear.poses])
     paths = tuple(Trajectory(pose[a:b], world[a:b]) for a, b in pairwise(first.tolist()))
     state = None

@@ -87,10 +87,7 @@ def simulate_all(world: Team, seed: int, name: str | None = None) -> list[Log]:
 
 
 def _drive(world: Team, k: int, time: Array, rng: np.random.Generator) -> tuple[Array, Increments, int]:
-    """True poses (N, 3) of robot k (from 0), its noisy odometry, and how many increments got the floor.
-
-    Loops are equally far apart, from the arena's radius to half of it; every other robot drives clockwise.
-    """
+    """True poses (N, 3) of robot k, noisy odometry, how many got the floor; every other robot drives clockwise."""
     dt, way = 1.0 / world.odometry_rate, 1.0 if k % 2 == 0 else -1.0
     radius, angle = world.radius * (1.0 - 0.5 * k / world.robots), 2.0 * math.pi * k / world.robots - 0.5 * math.pi
     at = dt * np.arange(math.ceil(time[-1] / dt) + 1)

@@ -78,11 +78,9 @@ def estimates(trial: Trial) -> list[dict[str, Any]]:
 
 
 def certainty(log: Log, run: Run) -> dict[str, float]:
-    """How sure a filter is online, and whether rightly; NaN: not known.
-
-    `median`, `largest`, `last` are of 3σ of the position along its least certain direction over the frames [m],
-    `heading` is 3σ of the heading at the end [deg], `inside` the share of the frames with the true position inside the
-    3σ ellipse, `nees` the mean pose NEES.
+    """How sure a filter is online, and whether rightly; NaN: not known. `median`, `largest`, `last`: 3σ of the position
+    along its least certain direction [m]; `heading`: its 3σ at the end [deg]; `inside`: share of frames inside the 3σ
+    ellipse.
     """
     path, row = run.trajectory("online"), metrics_row(run, "online", log, None)
     sigma = 3.0 * longest_sigma(path)

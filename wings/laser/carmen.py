@@ -263,10 +263,8 @@ def content_of(path: Path) -> tuple[bytes, str]:
 
 
 def without_corrections(lines: CarmenLines) -> tuple[CarmenLines, str]:
-    """The same lines with raw odometry from the first ODOM pose on, and a note.
-
-    The raw increment into an ODOM line starts at the last pose stated before it, corrected or not. Repeated corrected
-    poses are dropped; a scan has the raw pose of the ODOM line before it.
+    """The same lines with raw odometry from the first ODOM pose on, and a note: an increment starts at the last pose
+    before it, repeated ones are dropped, a scan has the raw pose of the ODOM line before it.
     """
     odometry, scans = lines.odometry, lines.scans
     again = _stated_again(lines)

@@ -70,10 +70,8 @@ def relations_of(relations: Relations, made: KeyLog) -> Relations:
 
 
 def relations_at_keys(relations: Relations, chain: Chain) -> Relations:
-    """Relations between frames as relations between their key poses, by the scan match that places each frame.
-
-    The error of that match is in them, as it is in the path of a laser run. Those within one key pose are left out,
-    and stamps: of frames.
+    """Relations between frames as relations between their key poses, by the scan match that places each frame, with its
+    error, as in the path of a laser run; without those within one key pose, and without stamps.
     """
     key1, key2 = chain.key[relations.row1], chain.key[relations.row2]
     there = np.flatnonzero(key1 != key2)

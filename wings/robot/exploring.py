@@ -124,10 +124,8 @@ def passable(grid: Grid, room: float = ROOM) -> tuple[BoolArray, Array]:
 
 
 def path_to_frontier(grid: Grid, start: Array, given_up: Array) -> Array:
-    """Centres (n, 2) [m] of the cells from `start` (2,) to the nearest frontier, but those near `given_up` (k, 2).
-
-    Empty where none is reachable. A frontier cell that is too near to a wall is seen from the nearest passable one.
-    Only where no other path is, one passes walls at half the room: an error of the map may enclose the robot.
+    """Centres (n, 2) [m] of the cells from `start` (2,) to the nearest frontier not near `given_up` (k, 2), or none; at
+    half the room from walls only where no other path is, as an error of the map may enclose the robot.
     """
     free = grid.log_odds < 0.0
     seen = frontier(free, grid.log_odds == 0.0)

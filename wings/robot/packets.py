@@ -132,10 +132,8 @@ def framed(data: bytes, marker: bytes = MARKER) -> bytes:
 
 
 def next_frame(pending: bytearray, sizes: Mapping[bytes, int]) -> tuple[int, bytes, bytes | None]:
-    """The first intact frame; `sizes`: bytes of content by marker, whose first bytes are equal.
-
-    Returns how many pending bytes are consumed, the marker, and the content, or None. After a false marker one byte is
-    consumed, so an intact frame behind a damaged one is found.
+    """The first intact frame (`sizes`: of content by marker): how many bytes are consumed, marker, content or None.
+    After a false marker one byte is, so an intact frame behind a damaged one is found.
     """
     first = next(iter(sizes))[:1]
     at = 0

@@ -56,10 +56,8 @@ def echo_points(sensors: Array, ranges: Array, alpha: float | Array) -> Array:
 
 
 def total_least_squares(points: Array, weights: Array, sensors: Array) -> tuple[Array, Array]:
-    """(rho, alpha) (...) of the lines with least weighted squared distances from points (..., N, 2).
-
-    `weights` (..., N): at least two above zero; `sensors` (..., N, 3) lie before the lines. rho is negative where the
-    origin lies beyond its line.
+    """(rho, alpha) (...) of lines with least weighted squares from points (..., N, 2), two `weights` (..., N) above
+    zero, behind `sensors` (..., N, 3); rho < 0: the origin lies beyond the line.
     """
     total = weights.sum(-1)
     mean = (weights[..., None] * points).sum(-2) / total[..., None]

@@ -103,7 +103,7 @@ class Moving:
     @property
     def moves(self) -> bool:
         """Whether it changes by more than a simulator's rounding."""
-        return bool((np.ptp(np.column_stack([self.translation, self.quaternion]), axis=0) > STILL).any())
+        return bool((np.ptp(np.column_stack([self.translation, np.abs(self.quaternion)]), axis=0) > STILL).any())
 
     def at(self, time: Array) -> tuple[Array, Array]:
         """Rotations (n, 3, 3) and translations (n, 3) at times (n,)."""

@@ -91,7 +91,7 @@ def read_text(path: Path) -> Text:
     comments = tuple((i, line) for i, line in lines if line.startswith(("#", "%")))
     data = [(i, line) for i, line in lines if line and not line.startswith(("#", "%"))]
     if not data:
-        raise DataError.at(path, "no line of data; at least one is needed")
+        raise DataError.at(path, f"no line of data{f' of {word}' * bool(word)}; at least one is needed")
     separator = next((s for s in (",", ";") if s in data[0][1]), None)
     fields = tuple(split(line, separator) for _, line in data)
     ended = fields[0][-1] == "" or len(fields[0]) < len(fields[-1])  # a last column with a name may be blank
@@ -112,10 +112,8 @@ def read_text(path: Path) -> Text:
 def numbers(
     text: Text, columns: Sequence[str], *, more: bool = False, blank: bool = False, huge: Collection[str] = ()
 ) -> Array:
-    """The fields as numbers (n, columns), NaN where unknown; `more`: further fields of a line are ignored.
-
-    A covariance (see `is_covariance`) may be infinite, which is unknown, too. `blank`:
-    fields may be blank. Columns of `huge` may exceed `LARGEST`.
+    """The fields as numbers (n, columns), NaN where unknown, as an infinite covariance is. `more`: further fields are
+    ignored, `blank`: fields may be blank, `huge`: columns that may exceed `LARGEST`.
     """
     k = len(columns)
     plain = _plain(text, k, more)
@@ -253,6 +251,7 @@ def times_of(
         what = f"stamp {early} is before {late} of the line above; ascending stamps are needed"
         raise DataError.at(text.path, what + kinds_of(text.path, text.fields), line=text.line[k])
     clock = paths.Clock("s", paths.ROWS) if column == UNSTAMPED else clock
+    clock = paths.Clock("s", paths.DATES) if unit == paths.DATES else clock
     if clock is None and manner.stamps is not None:
         clock = paths.Clock(manner.stamps, paths.STATED)
     clock = clock or paths.clock_of(str(text.path), stamps, unit, usual)

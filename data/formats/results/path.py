@@ -16,7 +16,7 @@ from data.locked import Locked
 from data.se2 import Array
 
 DIGITS = {"s": 0, "ms": 3, "us": 6, "ns": 9}
-STATED, SIZE, RATE, ASSUMED, ROWS = "stated", "size", "rate", "assumed", "rows"
+STATED, SIZE, RATE, ASSUMED, ROWS, DATES = "stated", "size", "rate", "assumed", "rows", "dates"
 EPOCH = (1e8, 4.2e9)  # s since 1970 of years 1973 to 2103
 STEPS = (1e-4, 5.0)  # s, intervals between successive poses of a trajectory
 SLOWEST, ABSURD = 600.0, 1e-5  # s, largest interval beside a stamp since 1970, and smallest that a stated unit may give
@@ -24,7 +24,7 @@ SLOWEST, ABSURD = 600.0, 1e-5  # s, largest interval beside a stamp since 1970, 
 
 @dataclass(frozen=True)
 class Clock:
-    """Unit of stamps, and how it is known: `STATED`, `SIZE`, `RATE`, `ASSUMED`, or `ROWS`: a row's number."""
+    """Unit of stamps, and how it is known: `STATED`, `SIZE`, `RATE`, `ASSUMED`, `DATES`, or `ROWS`: row numbers."""
 
     unit: str = "s"
     by: str = ASSUMED
@@ -34,7 +34,7 @@ class Clock:
         """For the kind of a file."""
         if self.by == ROWS:
             return "without stamps"
-        how = {SIZE: " by their size", RATE: " by their rate"}.get(self.by, "")
+        how = {SIZE: " by their size", RATE: " by their rate", DATES: " from dates"}.get(self.by, "")
         return f"stamps in {self.unit}{how}"
 
 
@@ -216,6 +216,7 @@ class Manner:
     # names, or numbers from 1, of columns by role (t, x, y, z, lat, lon, alt, roll, pitch, yaw, qx, qy, qz, qw)
     columns: Mapping[str, str] = field(default_factory=dict)
     true: bool = False  # where a row holds both, the true pose is read
+    rows: bool = False  # a row holds both: stamps that do not ascend are not read
     datum: tuple[float, ...] = ()  # of latitudes and longitudes, as of `GivenPath`; empty: their first place
 
 

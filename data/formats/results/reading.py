@@ -12,7 +12,8 @@ import numpy as np
 import scipy
 
 from data.columns.named import COVARIANCE, LENGTH, STAMP, YAW
-from data.csv_table import is_number, symmetric
+from data.csv_table import ends_early, is_number, symmetric
+from data.dates import EXAMPLE, IN_SECONDS, ISO, is_date, seconds_of
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean
 from data.formats.messages import whole_names
@@ -20,7 +21,7 @@ from data.formats.results import lines
 from data.formats.results import path as paths
 from data.formats.results.bags import file_and_topic, is_bag, read_bag
 from data.formats.results.lines import BLOCKS, ENTRIES, EUROC, POSE, TRIANGLE, UNSTAMPED, Text
-from data.formats.results.path import ABSENT, DIGITS, LOCAL, MIXED, WORLD, GivenPath, Manner, Stated
+from data.formats.results.path import ABSENT, DATES, DIGITS, LOCAL, MIXED, WORLD, GivenPath, Manner, Stated
 from data.formats.results.space import UNIT, full, known_only, require_covariances
 from data.questions.examination import in_degrees
 from data.se2 import Array, wrap_angle
@@ -131,6 +132,8 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
             what = f"no column {name!r}{did_you_mean(name, names)}; it has {', '.join(names)[:200]}"
             raise DataError.at(text.path, what, line=line)
         place[role] = names.index(name) if name in names else number
+    if len(several := topics_in(names)) > 1 and "x" in place and (topic := topic_of(names[place["x"]])):
+        read = _roles(names, topic)
     found: dict[str, list[int]] = {}
     if earth <= (there := {role for role, _ in read} | {*place}) and (earth <= {*place} or not {"x", "y"} <= there):
         read = [("", "") if role in tuple("xyz") else (role, unit) for role, unit in read]
@@ -141,6 +144,12 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
             found.setdefault(role, []).append(j)
     true = [bool(TRUE & set(words_of(name)[0])) for name in names]
     both = any(len({true[j] for j in some}) > 1 for role, some in found.items() if role != "t")
+    unlike = [topic for topic in several if topic.startswith("/") and "x" not in place]
+    if len(unlike) > max(1, len(found.get("x", ()))):
+        what = (
+            f"topics {', '.join(unlike)}: type which (of the estimate, and of the truth), as in {text.path}:{unlike[0]}"
+        )
+        raise DataError.at(text.path, what, line=line)
     for role, some in found.items():
         if both and (role not in ("t", "nanoseconds") or len(some) > 1):
             some = [j for j in some if true[j] == manner.true]
@@ -157,6 +166,26 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
     if "nanoseconds" in place and "t" not in place:
         place["t"], unit["t"] = place.pop("nanoseconds"), "ns"
     return Columns(place, unit, unread, len(names), line, in_data)
+
+
+def topic_of(name: str) -> str:
+    """The topic of the x of a position, as /odom of /odom/pose/pose/position/x; empty for any other name."""
+    found = re.fullmatch(r"(.+?)(?:[/.](?:pose|transform|position|translation|point))*[/.]x", name)
+    vector = r"(?i)linear|angular|(orientation|rotation|scale|acceleration|velocity|vel|field|magnetic)$"
+    return found[1] if found is not None and not re.search(vector, found[1]) else ""
+
+
+def topics_in(names: Sequence[str]) -> list[str]:
+    """The topics with positions of a table with topics as columns."""
+    return list(dict.fromkeys(topic for name in names if (topic := topic_of(name))))
+
+
+def _roles(names: Sequence[str], topic: str) -> list[tuple[str, str]]:
+    """Roles and units of the columns of a topic, and of the stamps of the table, else of the topic."""
+    found = [role_of(n[len(topic) + 1 :]) if n.startswith((f"{topic}/", f"{topic}.")) else ("", "") for n in names]
+    bare = {j: role_of(n) for j, n in enumerate(names) if n.startswith("header") or not re.search(r"[/.]", n)}
+    table = {j: r for j, r in bare.items() if r[0] in ("t", "nanoseconds")}
+    return [table.get(j, ("", "") if table and r[0] in ("t", "nanoseconds") else r) for j, r in enumerate(found)]
 
 
 def role_of(name: str) -> tuple[str, str]:
@@ -230,9 +259,12 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     for role in (*(("lat", "lon") if "lat" in place else ("x", "y")), *(POSE[4:] if quaternion else ())):
         if role not in place:
             what = f"the header names no column {role}: {', '.join(columns.order) or 'none'} are known"
-            what += f"; docs/results-files.md lists the names, or type --columns {role}=NAME"
+            ends = [name for name in columns.unread if words_of(name)[0][-1:] == [role]][:SHOWN]
+            what += f"; {', '.join(ends)} may be {role}" if ends else "; docs/results-files.md lists the names"
+            what += f"; type --columns {'truth.' * manner.true}{role}={(ends or ['NAME'])[0]}"
             raise DataError.at(text.path, what, line=columns.line)
-    value = {"t": np.arange(len(body.fields), dtype=float)} | _values(body, columns)
+    dated = _in_seconds(body, place["t"]) if "t" in place else body
+    value = {"t": np.arange(len(body.fields), dtype=float)} | _values(dated, columns)
     absent = not quaternion and "yaw" not in place
     if absent and (turned := [name for name in columns.unread if re.search(r"(?i)q\d|quat|rot|orient", name)]):
         what = f"the header names no orientation ({', '.join(turned)} are unknown); qx, qy, qz, qw or yaw is needed"
@@ -253,6 +285,10 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
         value["t"] = value["t"] + 1e-9 * value["nanoseconds"]
     unread = [*columns.unread[:SHOWN], *(["..."] if len(columns.unread) > SHOWN else [])]
     notes: tuple[str, ...] = (f"columns not read: {', '.join(unread)}",) if unread and not ours else ()
+    if short := sum(len(fields) < columns.named for fields in body.fields):
+        notes += (f"{short} of {len(body.fields)} rows end before the header does: their last columns are blank",)
+    if dated is not body:
+        notes += (f"inferred: stamps are dates, {IN_SECONDS}; --columns t=NAME names others",)
     notes += (f"inferred: --columns {columns.told}",) * bool(columns.told)
     datum: tuple[float, ...] = ()
     if "lat" in value:  # in rad by now
@@ -261,7 +297,12 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
         metres, datum, said = on_plane(text.path, each, manner.datum)
         value |= dict(zip("xyz" if "alt" in value else "xy", metres.T, strict=False))
         notes += (said,) * bool(said)
-    unit_of_time = "s" if "nanoseconds" in value else columns.unit.get("t")
+    unit_of_time = DATES if dated is not body else "s" if "nanoseconds" in value else columns.unit.get("t")
+    body = dated
+    if manner.rows and not (np.diff(value["t"]) > 0.0).all() and np.isfinite([value["x"], value["y"]]).all():
+        notes += ("stamps do not ascend, so its rows are compared one by one, without stamps",)
+        value["t"], place = np.arange(len(body.fields), dtype=float), {r: j for r, j in place.items() if r != "t"}
+        columns = replace(columns, place=place)
     if quaternion or "z" in value or "roll" in place or "pitch" in place:
         found = replace(_spatial(body, columns, value, manner, notes, unit_of_time), datum=datum)
         return paths.without_headings(found) if absent else found
@@ -276,6 +317,19 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     )
     found = replace(found, datum=datum)
     return paths.without_headings(found) if absent else found
+
+
+def _in_seconds(body: Text, column: int) -> Text:
+    """The text with seconds in a column of dates; the same without dates."""
+    if not any(is_date(fields[column]) for fields in body.fields if column < len(fields)):
+        return body
+    made = []
+    for line, f in zip(body.line, body.fields, strict=True):
+        try:
+            made.append((*f[:column], repr(seconds_of(f[column])) if f[column] else "", *f[column + 1 :]))
+        except ValueError:
+            raise DataError.at(body.path, f"{f[column]!r} is no date as in {EXAMPLE}", line=line, column="t") from None
+    return replace(body, fields=tuple(made))
 
 
 def _require_ours(text: Text, columns: Columns, manner: Manner) -> None:
@@ -293,7 +347,11 @@ def _values(body: Text, columns: Columns) -> dict[str, Array]:
     """Numbers of the columns that are read, by role, and of a triangle behind all; other columns may hold anything."""
     wide = not columns.in_data and len(body.fields[0]) == columns.named + len(TRIANGLE)
     place = columns.place | {c: columns.named + k for k, c in enumerate(TRIANGLE) if wide}
+    read = 1 + max(columns.place.values())
+    early = ends_early(map(len, body.fields), columns.named, read) if body.commas else set()
     for line, fields in zip(body.line, body.fields, strict=True):
+        if len(fields) in early:
+            continue
         if len(fields) < columns.named or (columns.in_data and len(fields) != columns.named):
             raise DataError.at(body.path, f"{len(fields)} fields where the header names {columns.named}", line=line)
     chosen = [tuple(f[j] if j < len(f) else "" for j in place.values()) for f in body.fields]
@@ -411,6 +469,11 @@ WIDTHS: dict[int, Callable[[Text, Manner], GivenPath]] = {
 
 def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
     """The trajectory in a file or bag (`FILE:/TOPIC`). DataError: wrong format or value; UsageError: wrong options."""
+    if manner.stamps == ISO:
+        found = read_path(name, replace(manner, stamps=None))
+        if found.clock.by != DATES:
+            raise UsageError(f"--unit {ISO}: {name} has no dates as in {EXAMPLE}")
+        return found
     path, topic = file_and_topic(name)
     if is_bag(path):
         found, cov, times = read_bag(path, topic, manner), False, False

@@ -1,4 +1,4 @@
-"""Poses in space, their covariances, and their projection to the plane.
+"""Poses in space, their covariances and frames, and their projection to the plane.
 
 x, y and the yaw of Z-Y-X angles, atan2(R10, R00), are kept. Their covariance follows to first order from that of the
 pose: with p the position, c the first column of R, and a small rotation w in the world's axes, dyaw = w_z - c_z (c_x
@@ -14,7 +14,7 @@ import numpy as np
 from data import se3
 from data.columns.named import LENGTH
 from data.errors import DataError
-from data.formats.recordings.ros import rotation_of
+from data.formats.recordings.ros import Tree, bare, rotation_of
 from data.formats.results.path import CAMERA, LEFT, LOCAL, MIXED, ROTATION, WORLD, GivenPath, Manner, Spatial, in_order
 from data.se2 import Array, wrap_angle
 
@@ -131,6 +131,44 @@ def moved(s: Spatial, R: Array, t: Array, scale: float = 1.0) -> Spatial:
             J[:, :3, 3:] = se3.skew(np.broadcast_to(t, p.shape)) @ rotation
         C = J @ C @ J.transpose(0, 2, 1)
     return replace(s, position=p, rotation=R @ s.rotation, covariance=C)
+
+
+def in_frame(path: GivenPath, world: str, body: str, trees: tuple[Tree, ...]) -> GivenPath | None:
+    """A trajectory in space in the stated frames of another, or itself; None where a transform is unknown."""
+    s = path.space
+    if s is None:
+        return path
+    made = s
+    if world and bare(s.stated.world) and bare(world) != bare(s.stated.world):
+        found = next((T for tree in trees if (T := tree.between(world, s.stated.world, s.time)) is not None), None)
+        if found is None:
+            return None
+        made = moved(made, *found)
+        made = replace(made, stated=replace(made.stated, world=world))
+    if body and bare(s.stated.body) and bare(body) != bare(s.stated.body):
+        found = next((T for tree in trees if (T := tree.between(s.stated.body, body, s.time)) is not None), None)
+        if found is None:
+            return None
+        made = _seen_from(made, *found)
+        made = replace(made, stated=replace(made.stated, body=body))
+    if made is s:
+        return path
+    old, new = (" and ".join(filter(None, pair)) for pair in ((s.stated.world, s.stated.body), (world, body)))
+    made = replace(made, notes=(*made.notes, f"taken from the frames {old} to {new} by tf"))
+    return replace(flattened(made), transforms=path.transforms)
+
+
+def _seen_from(s: Spatial, R: Array, t: Array) -> Spatial:
+    """The trajectory of another frame of the body: its rotations (n, 3, 3) and positions (n, 3) in the present one."""
+    arm = np.einsum("nij,nj->ni", s.rotation, t)
+    C = s.covariance
+    if C is not None:
+        J = np.zeros((len(s), 6, 6))
+        J[:] = np.eye(6)
+        J[:, :3, 3:] = -se3.skew(arm)
+        C = J @ in_world(s) @ J.transpose(0, 2, 1)
+    frame = s.frame if C is None else WORLD
+    return replace(s, position=s.position + arm, rotation=s.rotation @ R, covariance=C, frame=frame)
 
 
 def _planar_covariance(p: Array, R: Array, C: Array, frame: str) -> Array:

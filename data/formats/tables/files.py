@@ -10,19 +10,20 @@ import math
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 
 from data.columns.named import LENGTH, unused
-from data.csv_table import Table, cut_off, is_number
+from data.csv_table import Table, cut_off, ends_early, is_number
+from data.dates import EXAMPLE, ISO, is_date, seconds_of
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import columns_of, is_arrays
 from data.formats.messages import cut_end, file_and_word, kinds_of, numbered_rows, parts_of, whole_names, with_word
-from data.formats.results.reading import role_of, words_of
+from data.formats.results.reading import role_of, topics_in, words_of
 from data.inputs import IntArray
 from data.notice import Notice
 from data.origin import Origin
@@ -33,8 +34,12 @@ from data.terminal import counted
 SEPARATORS = (";", "\t", ",", " ")  # In this order, since a decimal comma is no separator beside a semicolon or a tab
 COMMENT = ("#", "%")
 DATE = re.compile(r"\d{4}-?(?:\d\d|W)")  # How dates in ISO 8601 begin
-DAY = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:")  # How dates begin that are no number
 NAMES_SHOWN = 200  # Most characters of a header in a message
+
+
+def stem_of(name: str) -> str:
+    """The name of a column without its number."""
+    return name.rstrip("0123456789")
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +56,7 @@ class TextTable:
     line: IntArray
     named: bool
     decimal_comma: bool = False
-    cut: str = ""  # what is said of a last row that is left out
+    cut: str = ""  # what is said of rows that are left out, or end before the header
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -73,7 +78,10 @@ class TextTable:
         """The columns in a message."""
         if not self.named:
             return f"columns 1 to {len(self.names)}, without names"
-        text = ", ".join(self.names)
+        if len(topics := [topic for topic in topics_in(self.names) if topic.startswith("/")]) > 1:
+            return f"topics {', '.join(topics)}, as in {self.path}:{topics[0]}"
+        runs = [list(run) for _, run in groupby(self.names, key=stem_of)]
+        text = ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 3 else ", ".join(run) for run in runs)
         return "columns " + (text if len(text) <= NAMES_SHOWN else text[:NAMES_SHOWN] + " ...")
 
     def text(self, column: int, keep: BoolArray) -> list[str]:
@@ -81,16 +89,14 @@ class TextTable:
         return [row[column] for row, wanted in zip(self.rows, keep.tolist(), strict=True) if wanted]
 
     def numbers(self, column: int, keep: BoolArray, *, stamps: bool) -> Array:
-        """A column as numbers, NaN where blank; `stamps`: dates as 2024-05-01T12:00:00.5 in s since 1970. DataError if
-        invalid.
-        """
-        parse: Callable[[str], float] = _seconds if stamps else partial(_number, comma=self.decimal_comma)
+        """A column as numbers, NaN where blank; `stamps`: dates in s since 1970. DataError if invalid."""
+        parse: Callable[[str], float] = seconds_of if stamps else partial(_number, comma=self.decimal_comma)
         values = np.full(int(keep.sum()), np.nan)
         for k, text in enumerate(self.text(column, keep)):
             try:
                 values[k] = parse(text) if text else np.nan
             except ValueError:
-                what = "a date as in 2024-05-01T12:00:00.5" if stamps else "a number"
+                what = f"a date as in {EXAMPLE}" if stamps else "a number"
                 line, name = int(self.line[keep][k]), self.names[column]
                 raise DataError.at(self.path, f"{text!r} is not {what}", line=line, column=name) from None
         return values
@@ -103,16 +109,10 @@ def _number(field: str, *, comma: bool = False) -> float:
     return value
 
 
-def _seconds(field: str) -> float:
-    """Seconds since 1970 of a date in ISO 8601; UTC without a zone."""
-    date = datetime.fromisoformat(field)
-    return (date if date.tzinfo is not None else date.replace(tzinfo=UTC)).timestamp()
-
-
 def _is_row(fields: Sequence[str]) -> bool:
     """Whether at least half of a line's non-blank fields are numbers or dates."""
     filled = [f for f in fields if f]
-    values = sum(is_number(f.replace(",", ".")) or DATE.match(f) is not None for f in filled)
+    values = sum(is_number(f.replace(",", ".")) or DATE.match(f) is not None or is_date(f) for f in filled)
     return bool(filled) and 2 * values >= len(filled)
 
 
@@ -138,9 +138,7 @@ def _separator(lines: Sequence[str]) -> str:
 
 
 def read_text(path: Path) -> TextTable:
-    """The file's rows, of FILE:WORD those that begin with a word; DataError for an unreadable or binary file, one
-    without rows, or unequal rows.
-    """
+    """The file's rows, of FILE:WORD those with that word; DataError if unreadable, binary, empty, or unequal."""
     if len(parts := parts_of(path)) > 1:
         return _joined(path, parts)
     if is_arrays(path):
@@ -166,7 +164,7 @@ def read_text(path: Path) -> TextTable:
     numbered = [(i, line) for i, line in lines if line.strip(" ;,")]
     plain = [(i, line) for i, line in numbered if not line.lstrip().startswith(COMMENT)]
     if not plain:
-        raise DataError.at(path, "no rows; at least one is needed")
+        raise DataError.at(path, f"no rows{f' of {word}' * bool(word)}; at least one is needed")
     separator = _separator([line for _, line in plain[:50]])
     rows = _split([line for _, line in plain], separator)
     if len(rows) != len(plain):
@@ -190,6 +188,11 @@ def read_text(path: Path) -> TextTable:
     if cut := cut_end(rows, int(number[-1])):
         rows, number = rows[:-1], number[:-1]
     width = len(rows[0]) if names is None else len(names)
+    early = ends_early(map(len, rows), width, 1) if names is not None and separator != " " else set()
+    if early:
+        many = f"{sum(len(row) in early for row in rows)} of {len(rows)}"
+        cut = f"{cut}; " * bool(cut) + f"{many} rows end before the header does: their last columns are blank"
+    rows = [row + ("",) * (width - len(row)) if len(row) in early else row for row in rows]
     for row, line in zip(rows, number.tolist(), strict=True):
         if len(row) != width:
             last = cut_off(len(row), width, last=line == number[-1])
@@ -287,7 +290,6 @@ ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 DIMENSIONS = {"length": LENGTH | {"mi": 1609.344, "nmi": 1852.0}, "angle": ANGLE, "time": TIME}
 RATES = {"kmh": "km/h", "kph": "km/h", "mph": "mi/h", "kn": "nmi/h", "rpm": "rev/min", "dps": "deg/s"}  # Names
-ISO = "iso"  # Unit of time for a column of dates
 
 STAMPS = ("t", "t1", "t2")
 INSTANTS = {*STAMPS, "frame", "frame1"}
@@ -443,7 +445,7 @@ class Columns:
                 self.used.add(quantity)
                 return column
         if file.named and quantity in file.names and (file.path, file.names.index(quantity)) not in self.intervals:
-            return file.find(quantity)
+            return file.find("time" if quantity == "t" and self._headings(file) else quantity)
         usual = (quantity.replace("theta", "yaw"), quantity)
         read = {c: (role_of(name)[0], "".join(words_of(name)[0])) for c, name in enumerate(file.names) if file.named}
         also = [c for c, (role, word) in read.items() if role in usual or word in (quantity, *ALSO.get(quantity, ()))]
@@ -468,6 +470,18 @@ class Columns:
         self.notes += [note] * (note not in self.notes)
         return also[0]
 
+    def _headings(self, file: TextTable) -> bool:
+        """Whether a column t beside an ascending column time descends, as headings do; which is noted."""
+        if "time" not in file.names:
+            return False
+        pairs = np.array([[row[file.names.index(q)] or "nan" for q in ("t", "time")] for row in file.rows])
+        if not all(map(is_number, pairs.ravel().tolist())):
+            return False
+        of_t, of_time = np.any(np.diff(pairs.astype(float), axis=0) < 0.0, axis=0).tolist()
+        note = f"{file.path.name}: inferred: --columns t=time, as the column t descends"
+        self.notes += [note] * (bool(of_t and not of_time) and note not in self.notes)
+        return bool(of_t and not of_time)
+
     def taken(self, file: TextTable, role: str, quantities: Sequence[str], truth: TextTable | None) -> bool:
         """Whether the truth is the same table, and has the columns of these quantities of a role for its own."""
         return truth is file and all(self.find(file, role, q) == self.find(file, "truth", q) for q in quantities)
@@ -482,7 +496,7 @@ class Columns:
                 what = f"no column {name!r}{did_you_mean(name, file.names)} for {q}; it has {file.described()}"
                 raise DataError.at(file.path, f"{what}; name it as in --columns {role}.{q}=NAME")
             first = next((row[column] for row in file.rows if row[column]), "")
-            if q in STAMPS and not {"t", "time", f"{role}.t"} & set(self.units.given) and DAY.match(first):
+            if q in STAMPS and not {"t", "time", f"{role}.t"} & set(self.units.given) and is_date(first):
                 self.units.given[f"{role}.t"] = ISO
                 self.notes.append(f"{file.path.name}: inferred: --unit {role}.t=iso, as {first} is a date")
             columns.append(column)
@@ -510,9 +524,7 @@ class Columns:
         return values + self.offsets.get(role, 0.0)
 
     def turned(self, file: TextTable, role: str, time: Array, pose: Array) -> Array:
-        """Poses (K, 3) in radians: headings that follow the course as degrees only are converted, which is noted. Of a
-        stated unit, and of others that turn too fast, there is a question.
-        """
+        """Poses (K, 3) in rad; headings that follow the course as degrees only are converted, others asked about."""
         key = f"{role}.theta"
         if self.units.factor(role, "theta") != 1.0:
             return pose
@@ -555,7 +567,11 @@ class Columns:
         for q in quantities:
             if q not in INSTANTS:
                 empty &= np.array([row[columns[q]].lower() in ("", "nan") for row in file.rows], bool)
-        empty &= not set(quantities) & set(may_be_blank)
+        if role == "truth" and "t" in columns and 2 * empty.sum() > len(file):  # rows of several topics
+            some = f"{int(empty.sum())} of {len(file)} rows have no true pose: it is interpolated between the others"
+            self.notes.append(f"{file.path.name}: {some}")
+        else:
+            empty &= not set(quantities) & set(may_be_blank)
         keep = ~empty
         if role == "map" or INSTANTS & set(columns):
             whole = role not in ROLES or role == "observations"
@@ -592,7 +608,8 @@ class Columns:
                 raise UsageError(f"{given}: {file.path.name} is read without stamps")
             values |= {q: values[q] + self.offsets[role] for q in STAMPS if q in values}
         words = {q: file.text(c, keep) for q, c in named.items()}
-        table = Table(file.path, values, line=file.line[keep], texts=words)
+        known = {q: f"{file.names[c]} ({role}.{q})" for q, c in columns.items() if file.names[c] != q}
+        table = Table(file.path, values, line=file.line[keep], texts=words, named=known)
         for q, c in columns.items():
             fine = np.isfinite(values[q])
             if q not in may_be_blank and not fine.all():

@@ -20,13 +20,13 @@ from data.errors import DataError, UsageError, unknown
 from data.formats.messages import file_and_word, parts_of
 from data.formats.open_log import Recording, Samples
 from data.formats.recordings.laser import FLOOR
-from data.formats.results.path import ABSENT, COARSE, unturned
+from data.formats.results.path import ABSENT, COARSE, in_order, unturned
 from data.formats.second_odometry import together
 from data.formats.tables.files import QUATERNION, SCANS, SECOND, TextTable, headings
 from data.formats.tables.motion import Odometry, pose_columns, read_odometry, read_second, second_closures
 from data.formats.tables.request import LOOKS, OBSERVATIONS, SENSOR, TableSensor, Wanted
 from data.formats.tables.scans import read_scans
-from data.inputs import CLUTTER, Inputs, IntArray, LandmarkMap, Observations, Prior, Scans
+from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations, Prior, Scans
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
 from data.origin import Origin, Origins
@@ -272,9 +272,7 @@ def _between(wanted: Wanted) -> bool:
 
 
 def read_log(name: str, wanted: Wanted) -> Recording:
-    """The log of the tables, with velocities as recorded; DataError or UsageError for invalid parts, stamps without
-    overlap, or a missing prior.
-    """
+    """The log of the tables; DataError or UsageError for invalid parts, stamps without overlap, or a missing prior."""
     columns, texts, notes = wanted.columns, wanted.texts, wanted.columns.notes
     between = wanted.kind == "steps" and _between(wanted)
     odometry = read_odometry(texts["odometry"], columns, wanted.kind, wanted.wheels, between=between)
@@ -322,7 +320,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
         taken = [name for closures in measured for name in closures.sources]
         measured.append(second_closures(texts[SECOND], second, wanted.second, time, taken, notes))
     increments, gaps = odometry.increments(time, wanted.noise, wanted.model)
-    fixes = None if fixes is None else _counter_clockwise(fixes, increments.mean, wanted)
+    fixes = None if fixes is None else _counter_clockwise(fixes, increments, wanted)
     covariance, floored = floor_covariances(increments.covariance, FLOOR)
     if not odometry.velocities:
         floored += gaps  # of poses it counts floored covariances
@@ -350,7 +348,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
             text = f"{sensor.label}={sensor.sees}" if sensor.label else sensor.sees
             raise UsageError(f"--sees {text}: {have}; column {KIND} of the map names them (--columns map.{KIND}=NAME)")
     inputs = Inputs(
-        prior=_prior(wanted, pose, known, increments.mean, fixes), time=time,
+        prior=_prior(wanted, pose, known, increments, fixes), time=time,
         increments=replace(increments, covariance=covariance), observations=observed, sensor=sensors[0],
         sensors=sensors if len(sensors) > 1 else (), map=known, time_is_index=not odometry.stamped,
         covariance_floor=FLOOR, floored=floored, fixes=fixes, closures=together(measured), scans=scans,
@@ -450,9 +448,7 @@ def _span(time: Array) -> str:
 
 
 def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
-    """Landmarks in the world frame; without ids they are numbered from 0 in the order of the file. Blank sigmas are 0.
-    DataError for sigmas that the map's rotation would correlate.
-    """
+    """Landmarks in the world, numbered from 0 without ids; DataError for sigmas that a turned map would correlate."""
     columns = wanted.columns
     # a column of that name is something else where no sensor sees a kind
     kind = (KIND,) * (any(of.sensor.sees for of in wanted.sensors) or columns.stated("map", (KIND,)))
@@ -492,8 +488,12 @@ def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePose
     read[~np.isfinite(read[:, :2]).all(axis=1)] = np.nan
     world = se2.compose(wanted.truth_pose, read) if wanted.truth_pose.any() else read
     if by_stamp:
-        table.require_ascending("t", strictly=True)
-        return TruePoses(values["t"], world)
+        table.require_ascending("t", strictly=False)
+        keep = _once(table, world)
+        if more := len(world) - len(keep):
+            some = f"{more} of {len(world)} true poses share their stamp with the next one, which is used"
+            columns.notes.append(f"{file.path.name}: {some}")
+        return TruePoses(values["t"][keep], world[keep])
     if len(world) != len(odometry.rows):
         known = np.flatnonzero(np.isfinite(world[:, 0]))
         world = world[: known[-1] + 1] if len(known) else world  # columns of other lengths beside it
@@ -501,6 +501,22 @@ def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePose
         return TruePoses(None, world)
     own = np.flatnonzero(np.append(np.diff(odometry.rows) != 0.0, True) & ~np.isnan(odometry.rows))
     return TruePoses(odometry.rows[own], world[own])
+
+
+def _once(table: Table, pose: Array) -> IntArray:
+    """The last of the rows at each stamp of poses (K, 3); DataError where these are farther apart than `SAME` steps."""
+    step = np.hypot(*np.diff(pose[:, :2], axis=0).T)
+    again = np.diff(table.columns["t"]) == 0.0
+    moves = step[~again & (step > 0.0)]
+    far = again & (step > SAME * (np.median(moves) if len(moves) else 0.0))
+    if far.any():
+        row = int(np.argmax(far))
+        what = f"the stamp of the row before, whose true place is {step[row]:.3g} m off; stamps that tell them apart"
+        raise table.error(row + 1, "t", f"{what} are needed")
+    return in_order(str(table.path), table.columns["t"], np.nan_to_num(pose)).astype(np.int64)
+
+
+SAME = 3.0  # Usual steps between stamps, within which true poses at one stamp are the same
 
 
 def _require_digits(part: Rows) -> None:
@@ -564,14 +580,12 @@ def _ahead(pose: Array, moved: Array) -> float | None:
     return float(se2.wrap_angle(turned))
 
 
-def _onto_fixes(fixes: Fixes, moved: Array) -> tuple[Array, float] | None:
-    """The first pose that takes the odometry's increments (N, 3) to the first fixes of a place, as far as tells the
-    heading, and the standard deviation [m] of these; None: no such way.
-    """
+def _onto_fixes(fixes: Fixes, moved: Increments) -> tuple[Array, Array] | None:
+    """The first pose that takes the odometry to the first fixes, which tell its heading, and its sigma (3,)."""
     rows = np.flatnonzero(fixes.kind != FixKind.HEADING)
     if not len(rows):
         return None
-    path = se2.dead_reckoned(np.zeros(3), moved)
+    path = se2.dead_reckoned(np.zeros(3), moved.mean)
     way = np.append(0.0, np.hypot(*np.diff(path[:, :2], axis=0).T).cumsum())[fixes.frame[rows]]
     path = path[fixes.frame[rows], :2]
     sigma = math.sqrt(float(np.median(fixes.covariance[rows, 0, 0])))
@@ -581,18 +595,18 @@ def _onto_fixes(fixes: Fixes, moved: Array) -> tuple[Array, float] | None:
     far = np.flatnonzero((spread.sum(axis=1) > (CLEAR * sigma) ** 2) & (np.hypot(*(path - path[0]).T) > FAR))
     if not len(far):
         return None
-    return se2.rigid_fit(path[: far[0] + 1], fixes.z[rows[: far[0] + 1], :2]), sigma
+    drift = float(moved.covariance[: fixes.frame[rows[far[0]]] + 1, 2, 2].sum())
+    deviation = np.array([sigma, sigma, math.sqrt(LOOSE**2 + drift / 3.0)])  # a third of it is in the mean of the way
+    return se2.rigid_fit(path[: far[0] + 1], fixes.z[rows[: far[0] + 1], :2]), deviation
 
 
-def _counter_clockwise(fixes: Fixes, moved: Array, wanted: Wanted) -> Fixes:
-    """With headings counter-clockwise from east in rad, where the odometry's increments (N, 3) turn so only if they are
-    clockwise or in degrees: those of a compass, if the places say that they count from north.
-    """
+def _counter_clockwise(fixes: Fixes, moved: Increments, wanted: Wanted) -> Fixes:
+    """With headings of a compass, or in degrees, from east in rad, where the odometry turns as they do only then."""
     rows = np.flatnonzero(fixes.kind != FixKind.POSITION)
     stated = {"theta", "angle", "fixes.theta"} & set(wanted.columns.units.given) or wanted.fix_rotation
     if stated or len(rows) < MANY:
         return fixes
-    turned = se2.dead_reckoned(np.zeros(3), moved)[fixes.frame[rows], 2]
+    turned = se2.dead_reckoned(np.zeros(3), moved.mean)[fixes.frame[rows], 2]
     mean = {unit: complex(np.exp(1j * (turned - unit * fixes.z[rows, 2])).mean()) for unit in (1.0, *TURNED)}
     fit = [unit for unit in TURNED if abs(mean[unit]) > CONCENTRATED]
     start = None if abs(mean[1.0]) > ODD or len(fit) != 1 else _onto_fixes(fixes, moved)
@@ -614,16 +628,19 @@ TURNED = {-1.0: "clockwise", math.radians(1.0): "in degrees", -math.radians(1.0)
 CONCENTRATED, ODD = 0.9, 0.5  # Length of the mean unit vector of angles that agree, at least, and of others, at most
 
 
-def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None, moved: Array, fixes: Fixes | None) -> Prior:
-    """Belief about the first pose; `moved`: increments (N, 3)."""
+def _prior(
+    wanted: Wanted, pose: Array | None, known: LandmarkMap | None, moved: Increments, fixes: Fixes | None
+) -> Prior:
+    """Belief about the first pose."""
     free = wanted.prior is None and pose is None and known is None
     if free and fixes is not None and (found := _onto_fixes(fixes, moved)) is not None:
         start, around = found
         wanted.columns.origins["prior"] = Origin.INFERRED
-        x, y, turn = start.tolist()
-        text = f"--prior={x:.4g},{y:.4g},{math.degrees(turn):.3g}deg --prior-sigma {around:.3g},{around:.3g},10deg"
+        (x, y, turn), (sx, sy, st) = start.tolist(), around.tolist()
+        text = f"--prior={x:.4g},{y:.4g},{math.degrees(turn):.3g}deg --prior-sigma {sx:.3g},{sy:.3g},"
+        text += f"{math.degrees(st):.3g}deg"
         wanted.columns.notes.append(f"inferred: {text}, which takes odometry to the fixes")
-        return Prior(start, np.diag([around**2, around**2, LOOSE**2]))
+        return Prior(start, np.diag(around**2))
     if wanted.prior is None:
         if pose is not None or known is not None or fixes is not None:
             frame = "truth" if pose is not None else "fixes" if known is None else "map"
@@ -637,7 +654,7 @@ def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None, moved:
     if isinstance(mean, str):
         if pose is None:
             raise UsageError("--prior truth: --truth FILE is needed")
-        ahead = _ahead(pose, moved) if np.isfinite(pose[0, :2]).all() and np.isnan(pose[0, 2]) else None
+        ahead = _ahead(pose, moved.mean) if np.isfinite(pose[0, :2]).all() and np.isnan(pose[0, 2]) else None
         if ahead is not None:
             told = f"{math.degrees(ahead):.3g} deg within {math.degrees(LOOSE):g} deg, which takes odometry to truth"
             wanted.columns.notes.append(f"the truth has no heading; that of the prior is {told}")

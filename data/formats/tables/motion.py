@@ -80,9 +80,7 @@ class Odometry:
         return told(self.time) if self.velocities else (float(self.time[0]), float(self.time[-1]))
 
     def held_backward(self) -> Odometry:
-        """Velocities as samples that hold until the next one, from rows that held since the row before. The last one
-        holds on; the first row's precede the log.
-        """
+        """Velocities that hold until the next sample, from rows that held since the one before; the last holds on."""
         return replace(self, motion=np.concatenate([self.motion[1:], self.motion[-1:]]))
 
     def since(self, begin: float) -> Odometry:
@@ -145,9 +143,7 @@ def pose_columns(file: TextTable, columns: Columns, role: str) -> tuple[str, ...
 def read_odometry(
     file: TextTable, columns: Columns, kind: str, wheels: Wheels | None, role: str = "odometry", between: bool = False
 ) -> Odometry:
-    """The odometry of a file, of K steps `between` K + 1 poses; DataError for missing or invalid columns, UsageError
-    for ticks without wheels.
-    """
+    """The odometry of a file, of K steps `between` K + 1 poses; DataError if invalid, UsageError without wheels."""
     quantities = pose_columns(file, columns, role) if kind == "poses" else KINDS[kind]
     if kind == "steps" and columns.find(file, role, "dy") is None:
         columns.notes.append(f"{file.path.name}: assumed: steps have no dy, so the robot moves ahead alone")

@@ -258,9 +258,7 @@ TABLES = ("columns", "unit", "time-offset")  # Flags of pairs KEY=VALUE, tables 
 
 
 def with_mapping(path: Path, given: Given, keys: Sequence[str]) -> dict[str, object]:
-    """The flags and the keys of a mapping file, whose paths are relative to it; flags win. DataError for an invalid
-    file.
-    """
+    """The flags and the keys of a mapping file (paths relative to it); flags win. DataError for an invalid file."""
     merged: dict[str, Any] = {}
     stated: dict[str, Any] = load_toml(path, lambda what: DataError.at(path, what))
     for key, value in stated.items():

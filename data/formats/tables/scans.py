@@ -1,6 +1,7 @@
 """Laser scans of a table, a row each: ranges in columns that are numbered, angles in others or as stated."""
 
 import re
+from itertools import groupby
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,11 +9,12 @@ import numpy as np
 from data.csv_table import Table, is_number
 from data.errors import DataError, UsageError
 from data.formats.bags import GEOMETRY, Collected, LaserScans, scans_of
-from data.formats.tables.files import Columns, TextTable
+from data.formats.tables.files import Columns, TextTable, stem_of
 from data.formats.tables.motion import Odometry
 from data.se2 import Array
 
 RANGE = re.compile(r"(?:.*[._])?ranges?[._\[]?\d+\]?")
+BEAMS = 30  # Least numbers of a row that are taken for a scan
 STATED = ("angle_min", "angle_increment", "range_max")
 
 
@@ -32,6 +34,11 @@ def read_scans(
         stem = file.names[first].rstrip("0123456789")
         beams = [k for k in range(first, len(file.names)) if not stem or file.names[k].startswith(stem)]
     listed = at.get("ranges") if not beams else None  # in one field
+    if not beams and listed is None:  # the only array of many numbers
+        wide = [names for _, run in groupby(file.names, key=stem_of) if len(names := list(run)) >= BEAMS]
+        if len(wide) == 1 and file.named:
+            beams = [k for k, name in enumerate(file.names) if name in wide[0]]
+            columns.notes.append(f"{file.path.name}: inferred: --columns scans.range={wide[0][0]}")
     if not beams and listed is None:
         what = f"no scans: {file.described()}; columns such as range0, range1 are needed"
         raise DataError.at(file.path, f"{what}, or --columns scans.range=N: all from the N-th on")

@@ -15,7 +15,6 @@ import scipy
 from data import se2, se3
 from data.errors import DataError
 from data.formats.recordings.ros import Tree, bare
-from data.formats.results.frames import in_frame
 from data.formats.results.path import (
     ASSUMED,
     DIGITS,
@@ -30,7 +29,7 @@ from data.formats.results.path import (
     Spatial,
     restamped,
 )
-from data.formats.results.space import flattened, translation_first
+from data.formats.results.space import flattened, in_frame, translation_first
 from data.notice import Code, Notice, notice
 from data.questions.examination import LEAST, heading_unit, paths_otherwise
 from data.questions.readings import Kind

@@ -28,7 +28,7 @@ import numpy as np
 
 from association.expectation import Expectation, SingularInnovationError, statistics
 from association.faces import aligned_with_observations
-from data.blocks import diagonal_blocks
+from data.blocks import diagonal_blocks, whitened
 from data.errors import UsageError
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap
 from data.notice import Code, Notice, notice
@@ -639,11 +639,6 @@ def _close(done: Updated, nis: float, likelihood: float, white: Array) -> bool:
     if done.white is None or not np.allclose(stated, formed, rtol=ROUNDING, atol=ROUNDING):
         return False
     return bool(np.allclose(done.white, white, rtol=ROUNDING, atol=ROUNDING, equal_nan=True))
-
-
-def whitened(nu: Array, S: Array) -> Array:
-    """Innovations (k, 2) over their standard deviations, by the Cholesky factors of their covariances (k, 2, 2)."""
-    return np.asarray(np.linalg.solve(np.linalg.cholesky(S), nu[:, :, None])[:, :, 0])
 
 
 SIGNATURES = "one of (prior, sensor, options) does SLAM, of (prior, sensor, map, options) localization"

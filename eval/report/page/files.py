@@ -65,10 +65,8 @@ def write_table(
     frame: pd.DataFrame, folder: Path, stem: str, caption: str, formats: Sequence[str] = FORMATS, width: str = "page",
     columns: Sequence[str] = (), for_paper: pd.DataFrame | None = None, fine_print: str = "",
 ) -> list[Path]:  # fmt: skip
-    """Write `folder/stem.csv|.md|.tex`; the caption of LaTeX stands in `notes.tex`. ValueError: an unknown format.
-
-    `width`, `columns`, `for_paper`: as of `sheet`, the last with more columns to choose from; `fine_print`: what else
-    the note says.
+    """Write `folder/stem.csv|.md|.tex` (the caption of LaTeX in `notes.tex`); `width`, `columns`, `for_paper`: as of
+    `sheet`, the last with more columns; `fine_print`: what else the note says. ValueError: an unknown format.
     """
     unknown = sorted(set(formats) - set(FORMATS))
     if unknown:

@@ -63,9 +63,8 @@ SIGMA_BEARING = 0.01
 
 
 def circle(path, points, *, frames=FRAMES, reach=12.0, seed=0):
-    """A robot on a circle that sees the directions of landmarks; returns its true path (N, 3).
-
-    Vertices of poses are the odometry's; of landmarks the `true` ones, all `zero`, or `none`.
+    """A robot on a circle that sees directions of landmarks; its true path (N, 3). Vertices of poses are the
+    odometry's; of landmarks the `true` ones, all `zero`, or `none`.
     """
     rng = np.random.default_rng(seed)
     landmarks = rng.uniform(-14.0, 14.0, (14, 2))

@@ -28,7 +28,6 @@ def of(motion, b, mount=NONE, noise=None):
 
 
 def by_hand(motion, b, mount):
-    """The corrected increment, written as rigid motions."""
     e = dict(zip(ERRORS, b, strict=True))
     d = np.hypot(*motion[:2]) * (-1.0 if motion[0] < 0 else 1.0)
     extra = d * (e["curvature"] + e["drift"]) + (e["left"] if motion[2] > 0 else e["right"]) * motion[2]

@@ -106,7 +106,6 @@ def exact_polar(log: Log) -> np.ndarray:
 
 
 def measured_polar(log: Log) -> np.ndarray:
-    """The readings of points (M, 2) as range and bearing."""
     seen = log.recorded.observations.z[log.truth.landmark_of != CLUTTER] @ [1, 1j]
     return np.column_stack([np.abs(seen), np.angle(seen)])
 

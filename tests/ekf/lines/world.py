@@ -46,10 +46,7 @@ def in_view(pose, segments, lines, reach):
 
 
 def line_log(seed, *, origin=(0.0, 0.0), seconds=300.0, prior=0.01, sensor=None):
-    """A log of the world, with its map and the true wall of every reading; the same noise wherever the origin is.
-
-    `prior`: sigmas of the first pose [m, rad].
-    """
+    """A log of the world with its map, the same noise wherever the origin is; `prior`: sigmas of the first pose."""
     ground, sonar, start = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
     segments, lines = walls(origin)
     sensor = sensor or Line(max_range=REACH)

@@ -64,6 +64,7 @@ WRONG = [
     (estimators.empty_frames, "localization", wrong.Shaken, "an update with DISCARD alone leaves the pose where it is"),
     (estimators.empty_frames, "slam", wrong.Empty, "Empty.update raised ValueError: zero-size array"),
     (exactness, "slam", wrong.Swapped, "landmarks off by up to"),
+    (exactness, "slam", wrong.OwnRange, "landmarks off .* a range and bearing of your own, .* do not fit it"),
     (estimators.removal, "slam", wrong.Returning, "landmark 0 was removed and is in the map again"),
     (exactness, "slam", wrong.Blurred, "HPH' off by up to"),
     (

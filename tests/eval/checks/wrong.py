@@ -9,6 +9,7 @@ from association.methods import singles
 from data.se2 import world_from_body
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
+from tests.eval.checks.plain import Plain
 
 
 class NoWrap(EkfLocalizer):
@@ -222,3 +223,15 @@ def one_dof(expectation, gate):
 
 def never(expectation, gate):
     return np.full(len(expectation.z), -1)
+
+
+class OwnRange(Plain):
+    """It writes range and bearing out, and nothing is close enough in another world to correct its mean."""
+
+    def step(self, K, nu):
+        return 0.0 * (K @ nu)
+
+    def found(self, z, R):
+        super().found(z, R)
+        angle = self.x[2] + z[1]
+        self.x[-2:] = self.x[:2] + z[0] * np.array([np.cos(angle), np.sin(angle)])

@@ -9,7 +9,6 @@ from tests.eval.checks.plain import Plain, wrapped
 
 
 def mutant(**methods):
-    """A class with other methods."""
     return type("Mutant", (Plain,), methods)
 
 

@@ -26,7 +26,6 @@ def stays():
 
 
 def computes_on(x):
-    """A job that says that it has begun, and takes minutes."""
     os.write(1, b"begun\n")  # one write: those of `print` mix with another worker's where Python is unbuffered
     end = time.monotonic() + 300.0
     while time.monotonic() < end:

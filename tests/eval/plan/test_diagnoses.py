@@ -26,7 +26,6 @@ def run(folder, out, *arguments, told=lambda done, total: None):
 
 @pytest.fixture(scope="module")
 def unmeasured(tmp_path_factory):
-    """A short log that nobody measured, whose odometry turns too much."""
     log = shortened(open_log("arena:3"), 60)
     mean = log.recorded.increments.mean.copy()
     mean[:, 2] += 0.05 * np.hypot(mean[:, 0], mean[:, 1])

@@ -113,10 +113,7 @@ def test_diverged_runs_on_simulated_logs_are_marked(name, marked):
 
 
 def way_at_frame_20(landmarks=None, sensor=POINTS):
-    """Straight on from (5, -3), 1 m a frame and sigmas of 0.2 m along it; the first pose has one of 0.5 m.
-
-    By frame 20 the robot is at most 20 (1 + 3 * 0.2) + 3 * 0.5 = 33.5 m from its start. It has seen nothing.
-    """
+    """From (5, -3), 1 m a frame, sigmas 0.2 m, 0.5 m at first: by frame 20 in 20 (1 + 3 * 0.2) + 3 * 0.5 = 33.5 m."""
     known = None if landmarks is None else LandmarkMap(np.arange(len(landmarks)), np.array(landmarks))
     mean, covariance = np.tile([1.0, 0.0, 0.0], (FRAMES, 1)), np.tile(np.diag([0.04, 0.01, 1e-4]), (FRAMES, 1, 1))
     mean[0], covariance[0] = 0.0, 0.0

@@ -27,7 +27,6 @@ DOF = {FixKind.POSITION: 2, FixKind.HEADING: 1, FixKind.POSE: 3}
 
 
 def fixes(count=60, kind=FixKind.POSITION):
-    """Fixes of one source; their values do not matter here."""
     frame = np.sort(np.arange(count) % FRAMES)
     return Fixes(
         frame, np.full(count, int(kind)), np.zeros(count), np.zeros((count, 3)), np.tile(np.eye(3), (count, 1, 1)),

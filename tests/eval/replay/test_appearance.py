@@ -113,7 +113,6 @@ WRONG = 40
 
 @pytest.fixture(scope="module")
 def sensed() -> Log:
-    """A log whose labels a sensor read, one of them wrong."""
     log = open_log("arena:3")
     label = log.granted.copy()
     label[WRONG] = (label[WRONG] + 7) % len(log.truth.landmarks.id)

@@ -145,10 +145,8 @@ def test_slam_begins_landmarks_once_their_observations_locate_them(sensors, name
 @pytest.mark.parametrize("sensors", [(CAMERA,), (RADIO,), (CAMERA, RADIO)], ids=["bearings", "ranges", "both"])
 @pytest.mark.parametrize("name", ["ekf-fej", "ekf-invariant"])
 def test_delayed_initialization_is_consistent(sensors, name):
-    """The mean NEES of the last pose over 100 runs is within the 99 % interval of a chi-square variable.
-
-    The plain EKF is not: 6.1 with bearings, since its Jacobians at changing estimates give it information on the
-    heading that nothing measured (Huang, Mourikis and Roumeliotis, IJRR 2010).
+    """The mean NEES of the last pose over 100 runs is inside the 99 % interval, unlike the plain EKF's: 6.1 with
+    bearings (Huang, Mourikis and Roumeliotis, IJRR 2010).
     """
     squared = []
     for seed in range(100):

@@ -30,7 +30,6 @@ def world(seed, keys="frames=60"):
 
 
 def as_exact(log):
-    """The same log with the same map, which claims to be exact."""
     return replace(log, recorded=replace(log.recorded, map=log.recorded.map.exact))
 
 

@@ -220,7 +220,6 @@ class Marks:
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory):
-    """Texts of a run in which every code is found, by place."""
     out = tmp_path_factory.mktemp("codes") / "report"
     templates, found = words.environment, steps.notices
     marked = SimpleNamespace(get_template=lambda _: SimpleNamespace(module=Marks()))

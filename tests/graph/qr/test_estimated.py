@@ -36,9 +36,8 @@ def columns(inputs, path, number, landmarks):
 
 
 def by_differences(inputs, found, path, number, landmarks):
-    """What one more sigma of every error, of every knot's drift, takes out of the log: columns of the corrected log.
-
-    The errors act on what odometry and sensor would say at the solution, without noise.
+    """What one more sigma of every error and knot takes out of the log: columns of the corrected log. The errors act on
+    what odometry and sensor would say at the solution, without noise.
     """
     systematics, names = found.systematic, inputs.systematic.names
     of, ended = knots(inputs.systematic.length, inputs.increments.mean)

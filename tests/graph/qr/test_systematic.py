@@ -16,10 +16,8 @@ EXACT = np.zeros((3, 3))
 
 
 def dense(inputs, number, path, landmarks, motion, readings):
-    """(score, information) by generalized least squares on all residuals, pose by pose in plain loops.
-
-    Every pose's deviation is written as a matrix times all noises (of the prior and of each increment) plus a matrix
-    times the errors; then r = J (errors, landmarks) + noise of covariance S, and the landmarks are profiled out.
+    """(score, information) by generalized least squares on all residuals, pose by pose in plain loops: every deviation
+    is a matrix times all noises plus one times the errors, and the landmarks are profiled out.
     """
     n, p, size = len(path), motion.shape[2], 2 * len(landmarks)
     of_noise, of_errors, mean = np.zeros((n, 3, 3 * n)), np.zeros((n, 3, p)), np.zeros((n, 3))

@@ -111,9 +111,8 @@ SLIP, BASE, RATE = 0.005, 0.235, 4
 
 
 def drive_in_a_room(seed, *, seconds=300, sensor=None, R=R_ROOM, every=4, reach=4.0):
-    """(Inputs with a map and labels, true poses): laps of room 0, walls seen every so many frames up to `reach` m.
-
-    A wall is seen from its front where the foot of the perpendicular is on it; noise is drawn as it is stated.
+    """(Inputs with a map and labels, true poses): laps of room 0, walls seen every so many frames up to `reach` m, from
+    their front where the foot of the perpendicular is on them.
     """
     rng = np.random.default_rng(seed)
     segments = room(0).segments

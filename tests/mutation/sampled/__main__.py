@@ -40,7 +40,6 @@ class Named(NamedTuple):
 
 
 def named(fault: Fault, text: str, found_by: str = "") -> Named:
-    """The fault's name in this text of its file."""
     key = _key(fault, text)
     equal = [f for f in faults_of(fault.path, text) if _key(f, text) == key]
     return Named(fault.path, *key, str(equal.index(fault)), found_by)
@@ -80,7 +79,6 @@ def is_there(test: str) -> bool:
 
 
 def drawn(root: Path, number: int, seed: int) -> list[Named]:
-    """Files by their lines, then a fault of the file."""
     rng = random.Random(seed)
     texts = {
         p.relative_to(root).as_posix(): p.read_text("utf-8") for top in PACKAGES for p in (root / top).rglob("*.py")

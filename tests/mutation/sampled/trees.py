@@ -57,7 +57,6 @@ def load_libraries() -> None:
 
 @contextmanager
 def broken(tree: Path, fault: Fault) -> Iterator[None]:
-    """The copy with the fault; as before afterwards."""
     file = tree / fault.path
     whole, stamp = file.read_text("utf-8"), file.stat()
     try:

@@ -137,7 +137,6 @@ def is_right(name: str, fault: str) -> bool:
 
 
 def kind_of(row: Row) -> str:
-    """How a log with a fault was named."""
     if not row.objected:
         return MISSED
     names = [name for name in row.named.split(AND) if name]

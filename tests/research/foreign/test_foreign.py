@@ -17,7 +17,6 @@ POLAR = "eight"
 
 
 def parts(log: Log) -> dict[str, Array]:
-    """Everything of a log that a fault may change."""
     r, t = log.recorded, log.truth
     assert r.map is not None
     assert t.pose is not None

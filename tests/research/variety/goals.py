@@ -45,10 +45,7 @@ class World(NamedTuple):
 
     @property
     def right_count(self) -> bool:
-        """Whether the map of hindsight has, within 10 %, no fewer landmarks than `often` and no more than `visible`.
-
-        A landmark read once or twice may be in the map or not.
-        """
+        """Whether hindsight's map has, within 10 %, between `often` and `visible` landmarks."""
         h, low, high = self.hindsight, 1.0 - NEAR, 1.0 + NEAR
         return math.isfinite(h.rmse_m) and low * h.often <= h.landmarks <= high * h.visible
 
@@ -86,7 +83,6 @@ def fp_ratios(worlds: Sequence[World]) -> Array:
 
 
 def goals(worlds: Sequence[World]) -> list[Goal]:
-    """The three goals; of no worlds nothing is reached."""
     if not worlds:
         return []
     good = float(np.mean([w.rmse_ratio <= WORSE for w in worlds]))

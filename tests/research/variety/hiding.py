@@ -78,7 +78,6 @@ def indices(half: str | None, worlds: int) -> list[int]:
 
 
 def draw(index: int) -> Hidden:
-    """The world of an index. Same index: same world."""
     if index == GROVE:
         return _grove()
     rng = np.random.default_rng([index, STREAM])
@@ -106,7 +105,6 @@ def _grove() -> Hidden:
 
 
 def log_of(hidden: Hidden) -> Log:
-    """The log, called `hiding-INDEX`. Same world: same bytes."""
     drawn, hiding = hidden.drawn, hidden.hiding
     seed = np.random.SeedSequence([hidden.index + 1, STREAM + 1])
     map_rng, sensor_rng, clutter_rng, people_rng = (np.random.default_rng(s) for s in seed.spawn(4))

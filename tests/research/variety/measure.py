@@ -134,10 +134,7 @@ def measure_all(
     world: Callable[[int], tuple[Log, str]] = world_of,
     smoothing: bool = False,
 ) -> Iterator[Row]:
-    """The methods on the worlds of these indices, without what is done; `world`: log and kind of an index.
-
-    Compiled code is loaded before.
-    """
+    """The methods on worlds of these indices, without what is done; `world`: log and kind of one. Compiles before."""
     known, more = {(r.number, r.method) for r in done}, {"smoothing": True} if smoothing else {}
     warm = named_log("arena:0:frames=20")
     for method in methods:

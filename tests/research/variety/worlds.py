@@ -86,10 +86,7 @@ def indices(half: str | None, worlds: int) -> list[int]:
 
 
 def draw(index: int, *, exact: bool = False) -> Drawn:
-    """The world of an index. Same index: same world.
-
-    exact: all is as it is stated, and odometry has no systematic errors; everything else is that of the same index.
-    """
+    """The world of an index, always the same; exact: all as stated, odometry without systematic errors."""
     rng = np.random.default_rng([index, STREAM])
     kind = KINDS[index // 2 % len(KINDS)]
     large = index // 2 % LARGE == LARGE - 1
@@ -181,7 +178,6 @@ NEAREST = 0.3
 
 
 def log_of(drawn: Drawn) -> Log:
-    """The log, called `variety-INDEX`. Same world: same bytes."""
     seed = np.random.SeedSequence([drawn.index, STREAM + 1])
     map_rng, sensor_rng, clutter_rng = (np.random.default_rng(s) for s in seed.spawn(3))
     log = named_log(drawn.name)

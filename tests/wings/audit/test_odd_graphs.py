@@ -219,13 +219,21 @@ def test_the_gauge_is_that_of_the_graph_not_of_its_first_variable():
     assert (facts.gauge, facts.loose) == (3, (("l7", 1, True, False, 44),))
 
 
-def test_cameras_leave_a_scale_open():
-    rng = np.random.default_rng(0)
-    graph, values, K = gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.Cal3_S2(500, 500, 0, 320, 240)
-    poses = [gtsam.Pose3(gtsam.Rot3.Ypr(0.05 * k, 0.03 * k, 0), np.array([k - 2.0, 0.2 * k, 0])) for k in range(5)]
-    points = rng.uniform([-3, -3, 6], [3, 3, 12], (12, 3))
+K = gtsam.Cal3_S2(500, 500, 0, 320, 240)
+
+
+def cameras(count):
+    poses = [gtsam.Pose3(gtsam.Rot3.Ypr(0.05 * k, 0.03 * k, 0), np.array([k - 2.0, 0.2 * k, 0])) for k in range(count)]
+    values = gtsam.Values()
     for k, pose in enumerate(poses):
         values.insert(X(k), pose)
+    return gtsam.NonlinearFactorGraph(), values, poses
+
+
+def test_cameras_leave_a_scale_open():
+    graph, values, poses = cameras(5)
+    points = np.random.default_rng(0).uniform([-3, -3, 6], [3, 3, 12], (12, 3))
+    for k, pose in enumerate(poses):
         for j, point in enumerate(points):
             z = gtsam.PinholeCameraCal3_S2(pose, K).project(point)
             graph.add(gtsam.GenericProjectionFactorCal3_S2(z, N.Isotropic.Sigma(2, 1.0), X(k), P(j), K))
@@ -326,11 +334,7 @@ def test_only_factors_that_are_rejected_are_called_so(seed, wrong, rejected):
 
 def smart_factors():
     """Cameras whose points are eliminated in their factors: 12 residuals of 6 cameras check 9 directions."""
-    rng, K = np.random.default_rng(0), gtsam.Cal3_S2(500, 500, 0, 320, 240)
-    graph, values, sixth = gtsam.NonlinearFactorGraph(), gtsam.Values(), N.Isotropic.Sigma(6, 0.01)
-    poses = [gtsam.Pose3(gtsam.Rot3.Ypr(0.05 * k, 0.03 * k, 0), np.array([k - 2.0, 0.2 * k, 0])) for k in range(6)]
-    for k, pose in enumerate(poses):
-        values.insert(X(k), pose)
+    rng, sixth, (graph, values, poses) = np.random.default_rng(0), N.Isotropic.Sigma(6, 0.01), cameras(6)
     for point in rng.uniform([-3, -3, 6], [3, 3, 12], (15, 3)):
         factor = gtsam.SmartProjectionPoseFactorCal3_S2(N.Isotropic.Sigma(2, 1.0), K)
         for k, pose in enumerate(poses):
@@ -361,13 +365,12 @@ def test_factors_that_marginals_leave_behind_are_examined():
 
 
 def test_a_calibration_that_is_unknown_with_one_prior_leaves_the_scale_and_no_single_point():
-    values = smart_factors()[1]
-    K, points = gtsam.Cal3_S2(500, 500, 0, 320, 240), np.random.default_rng(1).uniform([-3, -3, 6], [3, 3, 12], (15, 3))
-    seen = gtsam.NonlinearFactorGraph()
-    seen.add(gtsam.PriorFactorPose3(X(0), values.atPose3(X(0)), N.Isotropic.Sigma(6, 0.01)))
-    for k in range(6):
+    seen, values, poses = cameras(6)
+    points = np.random.default_rng(1).uniform([-3, -3, 6], [3, 3, 12], (15, 3))
+    seen.add(gtsam.PriorFactorPose3(X(0), poses[0], N.Isotropic.Sigma(6, 0.01)))
+    for k, pose in enumerate(poses):
         for j, point in enumerate(points):
-            z = gtsam.PinholeCameraCal3_S2(values.atPose3(X(k)), K).project(point)
+            z = gtsam.PinholeCameraCal3_S2(pose, K).project(point)
             seen.add(gtsam.GeneralSFMFactor2Cal3_S2(z, N.Isotropic.Sigma(2, 1.0), X(k), P(j), gtsam.symbol("k", 0)))
     for j, point in enumerate(points):
         values.insert(P(j), point)

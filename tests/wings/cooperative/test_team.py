@@ -26,11 +26,10 @@ from eval.referee.score import Trial, score
 from eval.replay.settings import Setup
 from eval.report.terminal import groups_of
 from tests.builders.unpacked import unpacked
-from wings.cooperative.experiments import experiments, named_team
+from wings.cooperative.experiments import experiments, named_team, team_logs
 from wings.cooperative.filters import Gates, TeamFilter, independent, intersected
 from wings.cooperative.report import identities, rows_of
 from wings.cooperative.team import team_of
-from wings.cooperative.utias import team_logs
 from wings.cooperative.world import Team, simulate_all
 
 KNOWN = LandmarkMap(np.array([0]), np.array([[3.0, 1.0]]))
@@ -162,10 +161,7 @@ def test_robots_are_told_apart_by_place():
 def test_experiments_are_every_robot_with_every_exchange():
     made = experiments("arena:4:robots=2+frames=20", Selection(), Setup(), Reading(), lambda _: None)
     names = [(e.log.name.rpartition("-")[2], e.variant_of is None, e.work[0].estimators) for e in made]
-    assert names[:2] == [
-        ("robot1", True, ("dead-reckoning", "ekf", "batch")),
-        ("robot1:naive", False, ("ekf",)),
-    ]
+    assert names[:2] == [("robot1", True, ("dead-reckoning", "ekf", "batch")), ("robot1:naive", False, ("ekf",))]
     assert [n for n, _, _ in names[4:]] == ["robot2", "robot2:naive", "robot2:intersection", "robot2:alone"]
     runs = compare(made[0].log.inputs(labels=True), "localization", ["ekf", "isam2"])
     assert [r.status for r in runs] == ["ok", "incomplete"], "iSAM2 is for one robot"

@@ -18,8 +18,8 @@ import slamref
 from data.formats.mrclam import load_mrclam
 from tests.quick import slow
 from wings.grade import handout, parts, utias
+from wings.grade.classes import distributions, similar
 from wings.grade.command import NAMES
-from wings.grade.pages import distributions, similar
 from wings.grade.parts import Outcome, Seeds
 from wings.grade.sandbox import MODULES, graded, outcomes, read_scheme
 

@@ -27,7 +27,6 @@ def trial(log, *runs, **more) -> Trial:
 
 
 def words(*trials) -> dict[str, str]:
-    """The paragraph of each answer that there is."""
     of = facts(*trials).of
     return {name: paragraph(f"{TEMPLATE}#{name}", q=q) for name, q in of.items() if not q["lack"]}
 

@@ -28,7 +28,6 @@ def picture(name, caption):
 
 
 def pages(folder, trials=(TRIAL,), answers=(), sections=()):
-    """Title and body of every page."""
     write_up(folder, trials, score(list(trials)), answers, sections)
     text = (folder / "write-up.tex").read_text(encoding="utf-8")
     assert text.endswith("\\end{document}\n")

@@ -30,7 +30,6 @@ AHEAD = command_of(0.3, 0.0)
 
 
 def driven(faults, seconds, seed=0, *, framed=False):
-    """A link after a drive, its wire, and the packets."""
     link, wire, clock = linked(faults, seed, framed=framed)
     rng, packets = np.random.default_rng(seed), []
     while clock.now() < seconds:
@@ -58,7 +57,6 @@ def nothing_impossible(packets):
 
 
 def sending(link, clock):
-    """When commands are sent, a list that fills."""
     times, keep = [], link._keep
     link._keep = lambda kind, data=b"": (times.append(clock.now()) if kind == SENT else None) or keep(kind, data)
     return times

@@ -50,7 +50,6 @@ def ended(*flags):
 
 
 def truth(path):
-    """Whole rows of t, x, y, theta."""
     lines = path.read_text().rpartition("\n")[0].splitlines()[1:]
     return np.array([[float(v) for v in line.split(",")] for line in lines])
 

@@ -43,10 +43,8 @@ def predicted_ranges(sensors, rho, alpha):
 
 
 def passing(share: float, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """A wall passed on the right: sensors (N, 3), ranges (N,), true (rho, alpha), in the last body frame.
-
-    The normal is at most the cone and `MIRROR` off the sonar's axis; the readings nearest the share, drawn at random,
-    are outliers.
+    """A wall passed on the right: sensors (N, 3), ranges (N,), true (rho, alpha), in the last body frame; the normal is
+    near the sonar's axis, readings nearest the share are outliers.
     """
     x = np.linspace(-1.0, 0.0, READINGS)
     sensors = compose(np.stack([x, 0.0 * x, 0.0 * x], axis=-1), SONARS[RIGHT])

@@ -34,6 +34,7 @@ from PIL import Image
 
 from data.columns.scans import BROKEN, open_archive
 from data.csv_table import bytes_of
+from data.digest import file_sha256
 from data.errors import LARGEST, DataError, UsageError
 from data.formats import matlab
 from data.formats.matlab import LIMIT, kind_of, save
@@ -140,10 +141,8 @@ def mat_log(path: Path, name: str, variable: matlab.Variable) -> LogFile:
 
 
 def object_log(path: Path, content: object) -> LogFile:
-    """A list of dicts or records, one per frame; or a dict of arrays, a row per frame; or one frame.
-
-    Either may lie in object arrays (N, 1) or (1, N), as `scipy.io.loadmat` returns MATLAB's struct arrays. Raises
-    DataError for another shape.
+    """A list of dicts or records, one per frame, a dict of arrays, a row per frame, or one frame; either may lie in
+    object arrays (N, 1) or (1, N), as `scipy.io.loadmat` returns. DataError for another shape.
     """
     # a recording of one frame has a number for its time
     if isinstance(content, Mapping) and np.ndim(content.get(FIELDS[0], 0)) > 0:
@@ -608,11 +607,8 @@ class LabRecording:
         """SHA-256 of configuration, log and reference images, in their order."""
         total = hashlib.sha256()
         for path in self._files:
-            try:
-                with path.open("rb") as file:
-                    total.update(hashlib.file_digest(file, "sha256").digest())
-            except OSError as error:
-                raise DataError.at(path, f"cannot be read: {error.strerror}") from error
+            with reading(path):
+                total.update(bytes.fromhex(file_sha256(path)))
         return total.hexdigest()
 
 
@@ -669,10 +665,8 @@ def open_lab(
 
 
 def _frames(log: LogFile) -> Iterator[VisualFrame]:
-    """The frames of a log in SI units: colours uint8, points [m] with NaN where stereo found none.
-
-    A pixel without a point has three zeros or a coordinate that is not finite. DataError names file, frame and field of
-    a missing or invalid value, or a log without any point.
+    """The frames in SI units: colours uint8, points [m], NaN where stereo found none (three zeros, or not finite).
+    DataError names file, frame and field of a wrong value, or a log without any point.
     """
     previous, seen, white = -np.inf, False, None
     first: NDArray[Any] | None = None

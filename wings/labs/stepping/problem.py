@@ -62,10 +62,8 @@ class FrameSoFar(NamedTuple):
     removed: IntArray | None  # as in `Run`
 
     def judged(self, decided: IntArray | None = None) -> TruthRow | None:
-        """The referee's judgement of its observations; None without true ids.
-
-        `decided` (m,): other decisions about them. It depends only on these observations and on those that initialized
-        landmarks, so only these go to the referee.
+        """The referee's judgement of its observations, or of other decisions `decided` (m,); None without true ids. It
+        depends only on these and on the observations that initialized landmarks, so only these are judged.
         """
         true_id = self.log.truth.landmark_of
         if true_id is None or np.any(true_id == UNKNOWN_ID):

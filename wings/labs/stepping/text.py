@@ -111,11 +111,8 @@ Block = Callable[[Step], str]  # text of a step, as of `step_block`; may be empt
 
 
 def run_text(log: Log, run: Run, phase: str = "online", block: Block = step_block) -> str:
-    """All steps of a run that have observations, fixes or closures, each by `block`, and the totals.
-
-    The lab's program knows no fixes and closures, so its text has none.
-
-    `phase` is `online` or `final`: decisions as they were made, or after all revisions.
+    """All steps of a run that have observations, fixes or closures (which the lab's program has not), each by `block`,
+    and the totals; `phase`: `online` or `final`, decisions as made, or after all revisions.
     """
     inputs, confusion = log.recorded, confusion_of(run, log, phase)
     decisions = run.decisions if phase == "online" else run.final_decisions

@@ -77,11 +77,9 @@ def _farthest(p: Array, a: int, b: int) -> tuple[int, float]:
 
 
 def _vertices(p: Array, ranges: Array, step: float, tolerance: float, first: int, last: int) -> list[int]:
-    """The vertices of a polyline that fits the points from the first to the last, ends included.
-
-    Split at the farthest point from a chord, repeatedly. Then remove each vertex whose neighbours' chord is near
-    enough, or move it to the farthest point from that chord. Two vertices too close for a line between them become one
-    corner.
+    """The vertices of a polyline that fits the points, ends included: split at the farthest point from a chord,
+    repeatedly; then each is removed if its neighbours' chord is near enough, or moved to the farthest point from that.
+    Two that are too close for a line between them become one corner.
     """
     vertex, v = [int(first), int(last)], 0
     while v < len(vertex) - 1:
@@ -178,9 +176,7 @@ far apart it is unclear."""
 
 def corner_labels(seen: Observations, pose: Array) -> IntArray:
     """Which corners (M,) are the same by the poses (K, 3) of their frames: numbers from 0, `UNLABELLED` where unclear.
-
-    In the order of the frames each takes the nearest corner so far within `SAME`, the nearest first, where no other of
-    its scan has taken it.
+    Frame by frame each takes the nearest corner so far within `SAME` that no other of its scan has taken.
     """
     place, count = np.empty((0, 2)), np.empty(0)
     label = np.full(len(seen.frame), UNLABELLED, np.int64)

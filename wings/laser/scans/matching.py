@@ -241,10 +241,8 @@ class Match(NamedTuple):
 def match(
     points: Points, reference: Reference, start: Array, prior: MotionPrior, sigma: float, prior_scale: float
 ) -> Match:
-    """Match a scan's points to a reference from a start pose (3,).
-
-    Minimizes the sum of Cauchy losses of the point-to-line distances (standard deviation `sigma` [m]) and of the
-    prior's Mahalanobis distance (scale `prior_scale` standard deviations).
+    """Match a scan's points to a reference from a start pose (3,): the least sum of Cauchy losses of point-to-line
+    distances (`sigma` [m]) and of the prior's Mahalanobis distance (scale `prior_scale` sigmas).
     """
     pose, hessian, cost, share = _match(points, reference, start, prior, sigma, prior_scale)
     pose[2] = wrap_angle(float(pose[2]))

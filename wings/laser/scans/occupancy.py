@@ -53,10 +53,8 @@ class Grid:
 
 @njit
 def _add_scans(origins: Array, ends: Array, returned: BoolArray, log_odds: Array, touched: NDArray[np.int32]) -> None:
-    """Add scans to log_odds (H, W), all in cells: origins (K, 2), ends (K, B, 2), returned (K, B).
-
-    A beam without return tells nothing. `touched` (H, W) holds 3 k + the change by
-    scan k, so that a cell changes once per scan, and a cell with an end in it is not free.
+    """Add scans to log_odds (H, W), in cells: origins (K, 2), ends (K, B, 2), returned (K, B) (else nothing is told).
+    `touched` (H, W): 3 k + change by scan k, so a cell changes once per scan, and one with an end is not free.
     """
     for k in range(len(ends)):
         for b in range(ends.shape[1]):
@@ -93,11 +91,8 @@ def _add_scans(origins: Array, ends: Array, returned: BoolArray, log_odds: Array
 def occupancy_grid(
     poses: Array, ranges: Array, scanner: Scanner, *, resolution: float = 0.05, most_cells: int = MOST_CELLS
 ) -> Grid:
-    """The occupancy grid of scans (K, B) [m] from known poses (K, 3), cells of `resolution` [m], doubled while there
-    are more than `most_cells`, as when poses diverge.
-
-    Non-finite poses are left out. A range of 0, NaN or max_range and beyond has no return, and tells nothing: the beam
-    may have met glass.
+    """The occupancy grid of scans (K, B) [m] from poses (K, 3), finite ones, in cells of `resolution` [m], doubled
+    while there are more than `most_cells`. A range of 0, NaN, or max_range and beyond tells nothing: it may be glass.
     """
     poses, ranges = np.asarray(poses, float), np.asarray(ranges, float)
     sure = np.isfinite(poses).all(axis=1)

@@ -75,11 +75,8 @@ def wheels_alone(inputs: Inputs) -> Run:
 def estimated(
     name: str, inputs: Inputs, chain: Chain, loops: Loops, setup: Setup = PLAIN, *, gate: float | None = None
 ) -> Solved:
-    """One estimator, by its name in `OF_SCANS` but dead reckoning, over the accepted loop closures.
-
-    Online, at frame f: the estimate of its key pose at the time of f and the motion since. `gate`: the filter's
-    chi-square probability (3 dof) of a loop closure, None: no gate; `setup.lag` is that of `fixed-lag`. Seconds are
-    those of the estimator alone.
+    """One estimator of `OF_SCANS` but dead reckoning, over the accepted loop closures; online: its key pose at the
+    time, and the motion since. `gate`: the filter's, of a loop closure (3 dof); `setup.lag`: of `fixed-lag`.
     """
     begin = time.perf_counter()
     given = key_inputs(inputs, chain, loops)

@@ -27,10 +27,8 @@ from wings.laser.slam.parameters import LaserParameters
 
 
 def between_scans(inputs: Inputs, pose: Array) -> Array:
-    """The path (N, 3) with frames between two scans moved by their share of the odometry's error between these.
-
-    The share is that of the odometry's accumulated variance. Frames with a scan, and those before the first and after
-    the last, stay.
+    """The path (N, 3) with frames between two scans moved by their share (of accumulated variance) of the odometry's
+    error between these; frames with a scan, before the first and after the last, stay.
     """
     assert inputs.scans is not None
     count = len(inputs)

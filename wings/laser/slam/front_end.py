@@ -115,10 +115,8 @@ FEWEST = 20  # loop closures needed to learn a scale, which then is known to a q
 
 
 class Scaled(NamedTuple):
-    """The front end's constraints with scaled covariances.
-
-    `claimed`: scale on the variances that scan matching itself states; `error`: its standard error, None: too few loop
-    closures tell it, and it is the front end's own. `factor`: the part of it that was learned.
+    """The front end's constraints with scaled covariances: `claimed`: scale on the variances that scan matching states,
+    `error`: its standard error, None: too few loops tell it; `factor`: the part that was learned.
     """
 
     front: FrontEndResult

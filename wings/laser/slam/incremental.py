@@ -42,10 +42,8 @@ class ScanSlam:
         self._covariance = prior.covariance if with_covariance else None
 
     def step(self, increment: Increment | None, ranges: Array | None, seconds: float = 0.0) -> Array:
-        """The next frame's pose (3,), world frame.
-
-        `increment`: motion since the frame before, None of the first; `ranges` (B,) [m], None without a scan;
-        `seconds` since the frame before, 0 where unknown.
+        """The next frame's pose (3,), world frame: `increment` since the frame before, None of the first; `ranges` (B,)
+        [m], None without a scan; `seconds` since the frame before, 0 where unknown.
         """
         frame, self._count = self._count, self._count + 1
         tracker = self.tracker

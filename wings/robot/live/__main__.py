@@ -92,10 +92,8 @@ def parser(prog: str = PROG) -> Command:
 
 
 def read(argv: Sequence[str] | None, prog: str = PROG) -> Namespace:
-    """Parse and check the flags. Raises UsageError.
-
-    Besides the flags' values: `options`, those `given` that are shared, the association `by_walls` (None: only scans
-    are asked for), and whether estimates are asked for `by_scans`. `lidar_sigma` is None without a lidar.
+    """The checked flags, with `options`, those `given` that are shared, the association `by_walls` (None: only scans),
+    and whether estimates are `by_scans`; `lidar_sigma`: None without a lidar. Raises UsageError.
     """
     wish = parser(prog).read(argv)
     wish.given = WITH_LIDAR if wish.lidar else DEFAULTS

@@ -30,10 +30,8 @@ def drive(
     link: Link, clock: Clock, session: Session, policy: Policy, stop: Callable[[], bool],
     look: Callable[[float], None] = lambda t: None, latencies: Latencies | None = None,
 ) -> None:  # fmt: skip
-    """Drive until `stop`, then command rest; every received packet is processed.
-
-    A robot that is silent for `WATCHDOG` is commanded to rest, too. `look` is called after each period with the robot's
-    time [s].
+    """Drive until `stop`, then command rest, as after a silence of `WATCHDOG`; every received packet is processed, and
+    `look` is called after each period with the robot's time [s].
     """
     command, heard = REST, clock.now()
 

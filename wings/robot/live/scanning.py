@@ -82,10 +82,8 @@ COLOUR, FREE = 112, 24  # grey of all cells, and opacity of free ones
 
 
 class GridPainter:
-    """Draws the occupancy grid of the page anew every few seconds, from at most `SCANS` scans.
-
-    The picture is a PNG of one colour whose opacity is the probability of a wall, so it fits a light and a dark page;
-    unknown cells are transparent. Equal scans and poses give equal bytes.
+    """Draws the page's occupancy grid anew every few seconds, of at most `SCANS` scans: a PNG of one colour, whose
+    opacity is the probability of a wall, so it fits light and dark pages. Equal scans and poses: equal bytes.
     """
 
     def __init__(self, scans: Callable[[], Scanned | None], show: Callable[[bytes], None]) -> None:

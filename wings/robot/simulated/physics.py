@@ -86,10 +86,8 @@ class Physics:
 
 @dataclass(frozen=True)
 class Lidar:
-    """A planar scanner over the centre of the body; its ranges are measured at the walls that the sonars hear.
-
-    A scan is taken at once, as if the head turned infinitely fast; a real one turns in 0.1 s, in which the robot moves
-    by 2 cm.
+    """A planar scanner over the centre of the body, of the walls that the sonars hear, whose scan is taken at once; a
+    real head turns in 0.1 s, in which the robot moves by 2 cm.
     """
 
     beams: int = 360  # in a circle, the first one astern, counter-clockwise

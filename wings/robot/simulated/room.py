@@ -81,10 +81,8 @@ def _apart(a: tuple[float, float, float, float], b: tuple[float, float, float, f
 
 
 def cast(room: Room, poses: Array, half_angle: float = CONE_HALF_ANGLE) -> Echo:
-    """Nearest wall point inside the cones of sensors at `poses` (N, 3) [m, m, rad], world frame; exact.
-
-    In each segment it is the foot of the perpendicular, an end, or an intersection with an edge of the cone. A half
-    angle of 0 is a beam, pi the whole circle.
+    """Nearest wall point inside the cones of sensors at `poses` (N, 3), world frame, exactly: of each segment the foot
+    of the perpendicular, an end, or where it meets an edge. A half angle of 0 is a beam, pi the whole circle.
     """
     poses = np.asarray(poses, float)
     a = room.segments[None, :, 0] - poses[:, None, :2]

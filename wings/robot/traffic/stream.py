@@ -46,10 +46,8 @@ def possible(answer: protocol.Answer) -> bool:
 
 
 def reachable(before: protocol.Answer, after: protocol.Answer, elapsed: float, *, held_up: bool = False) -> bool:
-    """Whether the robot can have moved from one answer to the other within `elapsed` [s] and `SLACK`.
-
-    Delayed answers come at once, so less than a period counts as one. An answer `held_up` on the line leaves the robot
-    the time until its watchdog stopped it.
+    """Whether the robot can have moved so within `elapsed` [s] and `SLACK`; less than a period counts as one (delayed
+    answers come at once), `held_up` ones leave it the time until its watchdog stopped it.
     """
     time = max(elapsed + protocol.WATCHDOG * held_up, protocol.PERIOD) + SLACK
     dx, dy, turn = moved(before, after)

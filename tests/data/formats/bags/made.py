@@ -9,6 +9,8 @@ import numpy as np
 from tests.data.formats.recordings.ros.bags import START, Maker, get_types_from_msg
 
 VISION = {
+    "uwb_msgs/msg/Ranging": "int16 anchorId\nint16 tagId\nint32 range\nfloat64 rss",
+    "uwb_msgs/msg/Radar": "int16 id\nfloat32 distance\nfloat32 azimuth",
     "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score",
     "vision_msgs/msg/ObjectHypothesisWithPose": (
         "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose"

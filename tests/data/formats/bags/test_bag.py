@@ -15,7 +15,7 @@ from data.formats.bags import FLAT_BOXES, TAGS, Detection, detections
 from data.formats.open_log import load_folder
 from data.log import Log
 from data.pose_measurements import FixKind
-from data.sensors import Bearing, RelativePoint
+from data.sensors import Bearing, Range, RelativePoint
 from tests.data.formats.bags.made import START, Full
 
 TIMES = np.arange(0.0, 4.01, 0.5)
@@ -130,6 +130,39 @@ def test_the_truth_is_what_the_flag_names(maker, tmp_path):
     assert log.recorded.fixes is None
 
 
+def test_ranges_of_any_type_and_their_anchors(maker, tmp_path, capsys):
+    """The truth begins after the odometry; markers in its frame are the map."""
+    anchors = {3: (5.0, 1.0), 8: (-2.0, 4.0)}
+    for t in TIMES[1:].tolist():
+        maker.bare_pose(t, (t, 2.0, 0.0))
+        maker.markers(t, [(k, *place) for k, place in anchors.items()], frame="map")
+        for k, (x, y) in anchors.items():
+            far = round(1000.0 * math.hypot(x - t, y - 2.0))
+            maker._send(t, "/uwb", "uwb_msgs/msg/Ranging", anchorId=k, tagId=0, range=far, rss=-80.0)
+    maker._send(1.0, "/radar", "uwb_msgs/msg/Radar", id=1, distance=3.0, azimuth=0.5)
+    log = load(maker, tmp_path, "--truth", "/mocap")
+    r, o, said = log.recorded, log.recorded.observations, capsys.readouterr().out
+    assert "assumed: --range-unit mm" in said
+    assert "measures at the robot's origin" in said
+    assert (r.map.id.tolist(), r.map.xy.tolist(), type(r.sensor)) == ([3, 8], [*map(list, anchors.values())], Range)
+    expected = np.hypot(*(np.array([anchors[k] for k in log.label.tolist()]) - log.truth.pose[o.frame, :2]).T)
+    assert o.z[:, 0] == pytest.approx(expected, abs=1e-3)
+    assert len(o.z) == 2 * len(TIMES[1:])
+    assert "The truth begins 0.5 s after the odometry; so does the log." in log.notes
+    assert main(["bag", str(tmp_path / "small"), "--list"]) == 0
+    listed = capsys.readouterr().out
+    assert "observations: ranges (range of anchorId)" in listed
+    assert "- (messages of this type are not read)" in next(k for k in listed.splitlines() if k.startswith("/radar"))
+
+
+def test_ranges_in_their_unit_from_their_place(maker, tmp_path):
+    maker._send(1.0, "/uwb", "uwb_msgs/msg/Ranging", anchorId=3, tagId=0, range=250, rss=-80.0)
+    log = load(maker, tmp_path, "--range-unit", "cm", "--range-sigma", "5cm")
+    o = log.recorded.observations
+    assert (o.z[0, 0], o.R[0, 0, 0], log.recorded.map) == (pytest.approx(2.5), pytest.approx(0.0025), None)
+    assert main(["bag", str(tmp_path / "small"), str(tmp_path / "out2"), "--range-unit", "cn"]) == 2
+
+
 def test_scans_and_detections_share_their_frames(maker, tmp_path):
     maker.mounting("base_link", "laser", 0.1, 0.0, 0.0)
     maker.scan(1.0, [1.0, 2.0, 3.0])
@@ -190,6 +223,8 @@ def test_detections_that_nothing_mounts_on_the_robot_are_left_out_and_said(maker
 @pytest.mark.parametrize(
     ("add", "words", "said"),
     [
+        (lambda m: (m.markers(1.0, [(1, 2, 0)], frame="map"), m.boxes(1.0, [("1", 1, 0)], frame="map")), (),
+         "/boxes: .*: left out; /markers: 1 detection .*: left out; --list names"),
         (lambda m: None, (), "nothing beside the odometry: no topic of scans, detections or fixes"),
         (lambda m: m.poses(1.0, [(2, 1)]), ("--odom", "/odo"), "no such topic in .*did you mean /odom"),
         (lambda m: m.odometry(1.0, (0, 0, 0), "/other"), (), "--odom TOPIC is needed; topics of odometry: /odom"),

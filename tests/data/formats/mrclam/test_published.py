@@ -13,8 +13,6 @@ BAD_NINE = [(755.0, 836.0), (945.0, 1050.0), (376.0, 380.0)]
 
 @pytest.fixture(scope="module")
 def published(mrclam):
-    """`published(dataset, robot, **arguments)`: a log of a published zip, uncorrected unless said otherwise."""
-
     def load(dataset, robot, **arguments):
         source = mrclam / f"MRCLAM_Dataset{dataset}.zip"
         return load_mrclam(source, robot, Treatment(**{"calibration": PLAIN, **arguments}))

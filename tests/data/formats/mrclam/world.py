@@ -36,7 +36,6 @@ def pose_at(t: float) -> tuple[float, float, float]:
 
 
 def reading(t: float, place: tuple[float, float]) -> tuple[float, float]:
-    """Range and bearing of a place from the true pose."""
     x, y, heading = pose_at(t)
     dx, dy = place[0] - x, place[1] - y
     return math.hypot(dx, dy), math.remainder(math.atan2(dy, dx) - heading, math.tau)

@@ -40,7 +40,6 @@ def assert_definite(P: Array) -> None:
 
 
 def assert_sound(log: Log) -> None:
-    """Every promise that estimators and referee rely on."""
     inputs = log.recorded
     o, n, m = inputs.observations, len(inputs.time), len(inputs.observations.frame)
     assert n >= 1

@@ -26,6 +26,12 @@ def refused(save, tmp_path, files, old, new, message, file="log.toml"):
     assert "\n" not in str(error.value)
 
 
+def refused_field(save, tmp_path, files, file, line, field, new, message):
+    files[file] = edit(files[file], line, field, new)
+    with pytest.raises(DataError, match=rf"{re.escape(str(tmp_path / file))}{message}"):
+        load_folder(save(tmp_path, files))
+
+
 # source, file, line, field, new value, what the message must say
 FIELDS = [
     ("frames", "frames.csv", 3, 0, "two", ":3: column t: 'two' is not a number"),
@@ -57,10 +63,7 @@ FIELDS = [
 def test_a_bad_field_is_named_with_file_line_column_and_value(
     small_log_files, save, tmp_path, source, file, line, field, new, message
 ):
-    files = small_log_files(source, "range_bearing")
-    files[file] = edit(files[file], line, field, new)
-    with pytest.raises(DataError, match=rf"{re.escape(str(tmp_path / file))}{message}"):
-        load_folder(save(tmp_path, files))
+    refused_field(save, tmp_path, small_log_files(source, "range_bearing"), file, line, field, new, message)
 
 
 @pytest.mark.parametrize("source", ["frames", "odometry"])

@@ -1,7 +1,6 @@
 """Fixes, closures and motion priors of an open log folder: read as stated, refused in a line where wrong."""
 
 import math
-import re
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from data.motion.motion_prior import ConstantVelocityPrior, ForwardPrior
 from data.pose_measurements import FixKind
 from tests.data.formats.open_log.measured import CLOSURE, FIX, measured_files
 from tests.data.formats.open_log.same_log import assert_same_log, load
-from tests.data.formats.open_log.test_faults import edit, refused
+from tests.data.formats.open_log.test_faults import refused, refused_field
 
 
 @pytest.mark.parametrize("source", ["frames", "odometry"])
@@ -90,10 +89,7 @@ FIELDS = [
 
 @pytest.mark.parametrize(("file", "line", "field", "new", "message"), FIELDS)
 def test_a_bad_field_is_named_with_file_line_column_and_value(save, tmp_path, file, line, field, new, message):
-    files = measured_files("frames")
-    files[file] = edit(files[file], line, field, new)
-    with pytest.raises(DataError, match=rf"{re.escape(str(tmp_path / file))}{message}"):
-        load_folder(save(tmp_path, files))
+    refused_field(save, tmp_path, measured_files("frames"), file, line, field, new, message)
 
 
 @pytest.mark.parametrize(("old", "new", "message"), [

@@ -1,17 +1,15 @@
 """Several sensors in a log folder, and bearings or ranges alone."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from data.errors import DataError
 from data.formats.open_log import contents, load_folder, write_folder
 from data.questions.summary import summarize
 from data.sensors import Bearing, Range, RangeBearing
 from tests.data.formats.open_log.same_log import assert_same_log, load
-from tests.data.formats.open_log.test_faults import edit, refused
+from tests.data.formats.open_log.test_faults import refused, refused_field
 
 TOML = """\
 format = 2
@@ -121,10 +119,7 @@ FIELDS = [
 
 @pytest.mark.parametrize(("line", "field", "new", "message"), FIELDS)
 def test_a_bad_field_is_named_with_file_line_column_and_value(save, tmp_path, line, field, new, message):
-    files = files_of("frames")
-    files["observations.csv"] = edit(files["observations.csv"], line, field, new)
-    with pytest.raises(DataError, match=rf"{re.escape(str(tmp_path))}/observations.csv{message}"):
-        load_folder(save(tmp_path, files))
+    refused_field(save, tmp_path, files_of("frames"), "observations.csv", line, field, new, message)
 
 
 @pytest.mark.parametrize(("old", "new", "message"), [

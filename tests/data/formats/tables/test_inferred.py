@@ -117,6 +117,11 @@ def test_fixes_tell_the_start_and_files_side_by_side_are_one_table(convert):
     assert "unknown start" in convert(*table, "--fix-sigma", "4,4", status=2)  # the way is too short
     log, said = convert(*table, "--fix-sigma", "5cm,5cm")
     assert log.recorded.prior.mean == pytest.approx([5.0, -3.0, 0.7], abs=0.05)
+    sure = np.sqrt(log.recorded.prior.covariance[2, 2])  # odometry that turns by 20 deg per root of a second drifts
+    unsure = convert(*table, "--fix-sigma", "5cm,5cm", "--odometry-sigma", "5cm,20deg")[0].recorded.prior.covariance[
+        2, 2
+    ]
+    assert 0.17 < sure < 0.2 < np.sqrt(unsure)
     assert (log.origins["prior"], "inferred: --prior=" in said) == (Origin.INFERRED, True)
 
 
@@ -165,3 +170,15 @@ def test_steps_between_poses(convert, names):
         "o.csv": text("from_id,to_id,dx,dy,dtheta", np.arange(299), np.arange(1, 300), step)}, "table", "o.csv", "out",
         "--observations", "seen.csv", "--truth", "truth.csv", "--prior", "truth", "--prior-sigma", "0,0,0", status=2,
     )  # fmt: skip
+
+
+def test_an_array_of_scans_beside_stamps_and_headings_of_the_names_time_and_t(convert, tmp_path):
+    """The only wide array holds the scans; t descends, so it is theta, and time the stamps."""
+    scans = np.full((300, 40), 3.0)
+    np.savez(tmp_path / "log.npz", laser=scans, time=T, t=-THETA, v=V, w=OMEGA)
+    flags = ("table", str(tmp_path / "log.npz"), "out", "--scans", str(tmp_path / "log.npz"))
+    assert "--scanner LOW,STEP,MAX" in convert({}, *flags, status=2)
+    log, said = convert({}, *flags, "--scanner", "-90deg,4deg,8m")
+    assert "inferred: --columns t=time" in said
+    assert "inferred: --columns scans.range=laser_1" in said
+    assert log.recorded.scans.ranges.shape == (300, 40)

@@ -216,3 +216,43 @@ def test_cells_of_matrices_and_structs_within_structs(convert, tmp_path):
     o = log.recorded.observations
     assert (len(log.recorded), o.frame[:4].tolist(), log.label[:4].tolist()) == (41, [1, 2, 2, 3], [8, 8, 9, 8])
     assert "inferred: frame counts from 1, as 41 is its last" in said
+
+
+def test_true_poses_at_one_stamp_are_one_where_they_are_alike(read, unread):
+    odometry = "t,v,omega,range,bearing\n" + "".join(f"{k},0.5,0,{9 - k},0.2\n" for k in range(9))
+    true = ["time,px,py,yaw", *(f"{k},{0.5 * k},0,0" for k in range(9))]
+    files = {"o.csv": odometry, "gt.csv": "\n".join([*true[:2], "0,1e-7,0,0", *true[2:]]) + "\n"}
+    names = ("--truth", "gt.csv", "--columns", "truth.x=px,truth.y=py")
+    log, said = read(files, *names)
+    assert log.truth.pose[:, 0] == pytest.approx(0.5 * np.arange(9), abs=1e-6)
+    assert "gt.csv: 1 of 10 true poses share their stamp with the next one, which is used" in said
+    told = unread(files | {"gt.csv": "\n".join([*true[:2], "0,7,0,0", *true[2:]]) + "\n"}, *names)
+    assert "gt.csv:3: column time (truth.t): the stamp of the row before, whose true place is 7 m off" in told
+    back = unread(files | {"gt.csv": "\n".join([*true[:4], "1.5,1,0,0", *true[4:]]) + "\n"}, *names)
+    assert "gt.csv:5: column time (truth.t): 1.5 follows 2.0; t must not decrease" in back
+
+
+def test_topics_as_columns_of_sparse_rows_with_dates(convert, unread):
+    """Each part takes the rows that have it; some rows end before the header."""
+    head = "stamp,/odom/v,/odom/omega,/odom/pose/x,/scan/range,/scan/bearing,/mocap/pose/x,/mocap/pose/y"
+    rows = [(10 * k, f"0.5,0,{k}") for k in range(9)] + [(10 * k + 2, f",,,{9 - 0.5 * k},0.2,,") for k in range(8)]
+    rows += [(5 * k + 1, f",,,,,{0.025 * k},0") for k in range(17)]
+    lines = [f"2024-05-01T12:00:{k / 10:04.1f}Z,{row}" for k, row in sorted(rows)]
+    files = {"rec.csv": "\n".join([head, *lines]) + "\n"}
+    assert "topics /odom, /mocap, as in rec.csv:/odom" in unread(files)
+    words = ("--observations", "rec.csv:/scan", "--truth", "rec.csv:/mocap")
+    log, said = convert(files, "table", "rec.csv:/odom", "out", *words, "--prior", "0,0,0", "--prior-sigma", "0,0,0")
+    assert log.recorded.observations.z[:, 0] == pytest.approx(9.0 - 0.5 * np.arange(8))
+    seen = np.unique(log.recorded.observations.frame)
+    assert log.truth.pose[seen, 0] == pytest.approx(0.005 + 0.05 * np.arange(8), abs=1e-6)
+    assert log.recorded.increments.mean[1:, 0].sum() == pytest.approx(0.5 * np.ptp(log.recorded.time))
+    assert "is a date" in said
+
+
+def test_rows_that_end_before_the_header_are_blank_there(read, unread):
+    rows = [f"{k},0.5,0,{9 - k},0.2" + ",7,8" * (k % 3 == 0) for k in range(9)]
+    log, said = read({"o.csv": "\n".join(["t,v,omega,range,bearing,mode,more", *rows]) + "\n"})
+    assert len(log.recorded.observations.z) == 9
+    assert "o.csv: 6 of 9 rows end before the header does: their last columns are blank" in said
+    one = [row if k == 4 else row.removesuffix(",7,8") + ",7,8" for k, row in enumerate(rows)]
+    assert "5 fields where 7 are needed" in unread({"o.csv": "\n".join(["t,v,omega,range,bearing,mode,more", *one])})

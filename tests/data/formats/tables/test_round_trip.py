@@ -19,7 +19,6 @@ def arena():
 
 @pytest.fixture
 def convert(convert):
-    """`convert(*words)`: the log that comes out."""
     return lambda *words: convert({}, "table", *words, "out")[0]
 
 

@@ -44,9 +44,8 @@ def distances(v, C):
 
 
 def simulate(seed, claimed_q=1.0):
-    """Run means of NEES and NIS, run-end pose NEES, and lag-1 correlations, each (RUNS,), of a Kalman filter.
-
-    It claims `claimed_q` times the process noise that drives the system; P0 and R are right.
+    """Means of NEES and NIS, run-end pose NEES, lag-1 correlations, each (RUNS,), of a Kalman filter that claims
+    `claimed_q` times the process noise that drives the system.
     """
     rng = np.random.default_rng(seed)
     truth = rng.standard_normal((RUNS, 3)) @ np.sqrt(P0)

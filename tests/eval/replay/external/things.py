@@ -39,8 +39,6 @@ class NoCovariance(EkfSlam):
 
 
 class Silent(EkfSlam):
-    """It says nothing of its innovations."""
-
     def update(self, observations, decisions, **more):
         super().update(observations, decisions, **more)
 

@@ -23,16 +23,7 @@ from eval.replay.hindsight.ledger import (
     detection_rate,
     verdict,
 )
-from eval.replay.hindsight.opportunities import (
-    BEFORE,
-    BEHIND,
-    DETECTED,
-    FAMILIAR,
-    _codes,
-    beside,
-    cell,
-    missing,
-)
+from eval.replay.hindsight.opportunities import BEFORE, BEHIND, DETECTED, FAMILIAR, _codes, beside, cell, missing
 
 PLACES = np.array([[5.0, 0.0], [5.0, 4.0], [5.0, -4.0], [3.0, 1.0], [3.0, -1.0]])
 REACH = math.hypot(5.0, 4.0)

@@ -159,9 +159,7 @@ def test_the_digest_depends_on_configuration_log_and_images_alone(tmp_path: Path
     ("pose_init", None, None, r"no struct pose_init; camera_to_body, landmark, pose_init are needed"),
     ("landmark", None, [1, 2, 3], r"landmark: numbers of size 1x3; one struct is needed"),
 ])  # fmt: skip
-def test_faults_of_the_configuration_name_field_value_and_what_would_be_right(
-    tmp_path: Path, part: str, field: str | None, value: Any, said: str
-) -> None:
+def test_faults_of_the_configuration_name_field_value_and_what_would_be_right(tmp_path, part, field, value, said):
     config: dict[str, Any] = configuration()
     table, key = (config, part) if field is None else (config[part], field)
     if value is None:

@@ -81,9 +81,7 @@ def test_commands_as_numpy_fields_or_dicts_are_read(tmp_path: Path, form: str) -
 
 @pytest.mark.parametrize("white", [1.0, 255.0])
 @pytest.mark.parametrize("form", ["log.mat", "log.npz"])
-def test_colours_may_be_fractions_of_1_or_of_255_as_the_first_frame_that_is_not_black_shows(
-    tmp_path: Path, form: str, white: float
-) -> None:
+def test_colours_may_be_fractions_of_1_or_of_255_as_the_first_frame_that_is_not_black_shows(tmp_path, form, white):
     columns = log_arrays()
     columns["rgb"][0] = 0
     expected = columns["rgb"]
@@ -105,9 +103,7 @@ def test_whole_numbers_of_other_types_are_colours_too_and_mm_may_be_whole(tmp_pa
     np.testing.assert_allclose(frames[2].xyz[4, 4], columns["xyz"][2, 4, 4] / 1000.0, rtol=1e-6)
 
 
-def test_configuration_and_log_may_share_a_file_and_the_log_may_have_another_name_and_more_fields(
-    tmp_path: Path,
-) -> None:
+def test_configuration_and_log_may_share_a_file_and_the_log_may_have_another_name_and_more_fields(tmp_path):
     folder = lab(tmp_path / "lab")
     columns: dict[str, Any] = log_arrays() | {"disparity": np.zeros((FRAMES, 50))}
     (folder / "log.mat").unlink()
@@ -239,9 +235,7 @@ def test_a_log_of_version_7_3_gives_the_same_frames_as_often_as_asked(tmp_path: 
     (lambda c: c["timestamp"].__setitem__(2, 10.1), r"log\(3\).timestamp: 10.1 s follows 10.1 s"),
     (lambda c: c.pop("xyz"), "the log has no xyz"),
 ])  # fmt: skip
-def test_faults_of_a_log_of_version_7_3_are_named(
-    tmp_path: Path, change: Callable[[dict[str, Any]], None], said: str
-) -> None:
+def test_faults_of_a_log_of_version_7_3_are_named(tmp_path, change, said):
     columns: dict[str, Any] = log_arrays()
     change(columns)
     folder = lab(tmp_path / "lab", form="")

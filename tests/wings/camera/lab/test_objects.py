@@ -99,9 +99,7 @@ def test_a_log_of_one_frame_is_one_dict_or_columns_of_one_row(tmp_path: Path) ->
     (lambda c: c.update(xyz=[{1}] * FRAMES), r"\['xyz'\]\[0\]: cell array or objects; numbers"),
     (lambda c: c["timestamp"].__setitem__(2, 10.1), r"\['timestamp'\]\[2\]: 10.1 s follows 10.1 s"),
 ])  # fmt: skip
-def test_faults_of_a_dict_of_arrays_name_field_and_frame(
-    tmp_path: Path, change: Callable[[dict[str, Any]], None], said: str
-) -> None:
+def test_faults_of_a_dict_of_arrays_name_field_and_frame(tmp_path, change, said):
     columns: dict[str, Any] = log_arrays()
     change(columns)
     folder = lab(tmp_path / "lab", form="")

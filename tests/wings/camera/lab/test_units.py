@@ -94,9 +94,7 @@ def put(field: str, frame: int, value: Any) -> Callable[[dict[str, Any]], None]:
     (lambda c: c.pop("xyz"), r"the log has no xyz; timestamp, commands, rgb, xyz are needed"),
     (lambda c: c.update(timestamp=[]), r"the log has no frames"),
 ])  # fmt: skip
-def test_faults_of_a_log_name_frame_field_value_and_what_would_be_right(
-    tmp_path: Path, change: Callable[[dict[str, Any]], None], said: str
-) -> None:
+def test_faults_of_a_log_name_frame_field_value_and_what_would_be_right(tmp_path, change, said):
     columns: dict[str, Any] = log_arrays()
     change(columns)
     refuse(lab(tmp_path / "lab", columns=columns), f"log.mat: {said}")
@@ -127,9 +125,7 @@ def test_a_log_that_is_no_struct_array_is_refused(tmp_path: Path) -> None:
     (lambda c: c.pop("commands"), "the log has no commands"),
     (lambda c: c.update({k: v[:0] for k, v in c.items()}), "the log has no frames"),
 ])  # fmt: skip
-def test_faults_of_an_archive_are_named(
-    tmp_path: Path, change: Callable[[dict[str, np.ndarray]], None], said: str
-) -> None:
+def test_faults_of_an_archive_are_named(tmp_path, change, said):
     columns = log_arrays()
     change(columns)
     refuse(lab(tmp_path / "lab", columns=columns, form="log.npz"), f"log.npz: {said}")

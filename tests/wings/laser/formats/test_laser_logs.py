@@ -28,7 +28,6 @@ def small(tmp_path: Path) -> Path:
 
 
 def found(folder: Path) -> tuple[list[str], list[str]]:
-    """Names of the logs in a folder, and what is said."""
     said: list[str] = []
     return [load().name for load in find_logs(folder, said.append)], said
 

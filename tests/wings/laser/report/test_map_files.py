@@ -8,10 +8,8 @@ from wings.laser.scans.occupancy import Grid
 
 
 def loaded(folder):
-    """Cells (H, W) with row 0 in the south, -1 unknown, 0 free, 100 occupied; resolution and origin.
-
-    After the loader: rows are turned upside down; negate 0: p = (255 - pixel) / 255; p > occupied_thresh is occupied,
-    p < free_thresh is free.
+    """Cells (H, W) with row 0 in the south, -1 unknown, 0 free, 100 occupied; resolution and origin. As the loader: p =
+    (255 - pixel) / 255, occupied above occupied_thresh, free below free_thresh.
     """
     said = dict(line.split(": ", 1) for line in (folder / "map.yaml").read_text().splitlines())
     magic, size, most, body = (folder / said["image"]).read_bytes().split(b"\n", 3)

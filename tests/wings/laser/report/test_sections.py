@@ -29,7 +29,6 @@ SIDE = np.array([0.0, 1.0, 0.0])
 
 
 def laser(estimator="isam2", offset=0.1, *, phases=("online", "final"), **more):
-    """A run along the true path, off by `offset` m in y everywhere."""
     made = run_with_error(offset * SIDE, estimator=estimator, association=SCAN, phases=phases, mapped=False)
     parts = {f.name: getattr(made, f.name) for f in fields(made)}
     return LaserRun(**parts, **{

@@ -153,10 +153,7 @@ PER_KEY = 3
 
 
 def laser_log(seed=1, keys=100):
-    """Inputs, chain, loops and true poses (N, 3) of a world whose key poses have frames in between.
-
-    The first loop was looked at and never believed, the others at once.
-    """
+    """Inputs, chain, loops (the first never believed), true poses (N, 3) of a world with frames between key poses."""
     world = corridors(seed, keys, loops=40, blocks=2)
     rng = np.random.default_rng(seed)
     n = PER_KEY * (keys - 1) + 1

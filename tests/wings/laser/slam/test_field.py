@@ -29,7 +29,6 @@ given = pytest.mark.skipif(GIVEN is None, reason="the recorded logs are not here
 
 
 def matched(log):
-    """The path (N, 3) by scan matching alone."""
     chain = run_front_end(log.recorded, LaserParameters()).chain
     return compose(dead_reckoned(log.recorded.prior.mean, chain.motion)[chain.key], chain.since)
 

@@ -39,7 +39,6 @@ def _longest():
 
 
 def packets(seconds):
-    """Of a drive along the walls."""
     assert seconds <= 135.0
     return _longest()[: round(seconds / PERIOD)]
 
@@ -96,8 +95,6 @@ def _quietly(main, words, output):
 
 
 class Process:
-    """A command in a process of its own."""
-
     def __init__(self, main, words, output):
         self.output = output
         self._process = FORK.Process(target=_quietly, args=(main, [str(w) for w in words], output))
@@ -111,12 +108,10 @@ class Process:
         os.kill(self._process.pid, number)
 
     def until(self, text, seconds=30.0):
-        """Wait until it says something."""
         wait(lambda: text in self.said or not self._process.is_alive(), seconds)
         assert text in self.said, self.said
 
     def status(self, seconds=60.0):
-        """Wait for its end."""
         self._process.join(seconds)
         assert self._process.exitcode is not None, self.said
         return self._process.exitcode
@@ -148,7 +143,6 @@ def simulator(folder: Path, *more) -> Iterator[tuple[Path, Path]]:
 
 @contextlib.contextmanager
 def started(folder: Path, link: Path, *more, out="log") -> Iterator[Process]:
-    """The command itself."""
     words = ["--link", link, "--out", folder / out, *more]
     process = Process(__main__.main, words, folder / f"{out}.out")
     try:

@@ -107,7 +107,7 @@ def test_without_a_topic_of_odometry_the_moving_transform_is_it(below, tmp_path)
     made = Maker("mcap")
     made.mounting("base_link", "laser", 0.25, 0.0, 0.0)
     for t in LEVEL.tolist():
-        made.transform(t, "odom", "base_footprint", (1e-9 * t, 0.0, 0.0))
+        made.transform(t, "odom", "base_footprint", (1e-9 * t, 0.0, np.round(t) * 2.0 * np.pi))  # q and -q are one turn
         made.transform(t, below, "base_link", (t, 0.0, 0.1 * t))
         made.transform(t, "map", "odom", (0.5, 0.0, 0.0))
     made.scan(0.75, [1.0, 2.0, 3.0])
