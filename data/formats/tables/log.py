@@ -600,6 +600,13 @@ def _onto_fixes(fixes: Fixes, moved: Increments) -> tuple[Array, Array] | None:
     return se2.rigid_fit(path[: far[0] + 1], fixes.z[rows[: far[0] + 1], :2]), deviation
 
 
+def _agree(fixes: Fixes, moved: Increments, start: Array) -> bool:
+    """Whether headings of fixes at the odometry's turns from a start point ahead, rather than elsewhere."""
+    rows = np.flatnonzero(fixes.kind != FixKind.POSITION)
+    turned = se2.dead_reckoned(start, moved.mean)[fixes.frame[rows], 2]
+    return not len(rows) or float(np.cos(turned - fixes.z[rows, 2]).mean()) > ODD
+
+
 def _counter_clockwise(fixes: Fixes, moved: Increments, wanted: Wanted) -> Fixes:
     """With headings of a compass, or in degrees, from east in rad, where the odometry turns as they do only then."""
     rows = np.flatnonzero(fixes.kind != FixKind.POSITION)
@@ -633,7 +640,12 @@ def _prior(
 ) -> Prior:
     """Belief about the first pose."""
     free = wanted.prior is None and pose is None and known is None
-    if free and fixes is not None and (found := _onto_fixes(fixes, moved)) is not None:
+    if (
+        free
+        and fixes is not None
+        and (found := _onto_fixes(fixes, moved)) is not None
+        and _agree(fixes, moved, found[0])
+    ):
         start, around = found
         wanted.columns.origins["prior"] = Origin.INFERRED
         (x, y, turn), (sx, sy, st) = start.tolist(), around.tolist()
