@@ -1,7 +1,4 @@
-"""Measurements of the pose itself: absolute fixes of a frame's pose, and closures between the poses of two frames.
-
-Both have a covariance each and a named source. Neither is ground truth: `data.truth` says which were inliers.
-"""
+"""Measurements of the pose with covariance and named source: absolute fixes, and closures between two frames' poses."""
 
 from __future__ import annotations
 

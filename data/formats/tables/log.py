@@ -576,6 +576,13 @@ def _ahead(pose: Array, moved: Array) -> float | None:
     return float(se2.wrap_angle(turned))
 
 
+def _agree(fixes: Fixes, moved: Increments, start: Array) -> bool:
+    """Whether headings of fixes at the odometry's turns from a start point ahead, rather than elsewhere."""
+    rows = np.flatnonzero(fixes.kind != FixKind.POSITION)
+    turned = se2.dead_reckoned(start, moved.mean)[fixes.frame[rows], 2]
+    return not len(rows) or float(np.cos(turned - fixes.z[rows, 2]).mean()) > ODD
+
+
 def _counter_clockwise(fixes: Fixes, moved: Increments, wanted: Wanted) -> Fixes:
     """With headings of a compass, or in degrees, from east in rad, where the odometry turns as they do only then."""
     rows = np.flatnonzero(fixes.kind != FixKind.POSITION)
@@ -609,10 +616,11 @@ def _prior(
 ) -> Prior:
     """Belief about the first pose."""
     free = wanted.prior is None and pose is None and known is None
-    if free and fixes is not None and (found := onto_fixes(fixes, moved)) is not None:
+    start = onto_fixes(fixes, moved) if free and fixes is not None else None
+    if start is not None and fixes is not None and _agree(fixes, moved, start.pose):
         wanted.columns.origins["prior"] = Origin.INFERRED
-        wanted.columns.notes.append(found.text)
-        return Prior(found.pose, np.diag(found.sigma**2))
+        wanted.columns.notes.append(start.text)
+        return Prior(start.pose, np.diag(start.sigma**2))
     if wanted.prior is None:
         if pose is not None or known is not None or fixes is not None:
             frame = "truth" if pose is not None else "fixes" if known is None else "map"

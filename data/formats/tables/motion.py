@@ -277,12 +277,7 @@ class Second:
 
 
 def read_second(file: TextTable, second: Second, columns: Columns, first: Odometry) -> Odometry:
-    """The second odometry of a file.
-
-    Raises:
-        DataError: no stamps where the first has some, another number of rows where it has none, or the same motion:
-            one measurement would count twice.
-    """
+    """The second odometry of a file; DataError for stamps or rows unlike the first's, or the same motion once more."""
     found = read_odometry(file, columns, second.kind, None, SECOND)
     if found.stamped != first.stamped:
         columns.require(file, SECOND if first.stamped else "odometry", ("t",))
