@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import TYPE_CHECKING, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,6 @@ from numpy.typing import NDArray
 from data import se2
 from data.locked import IntArray, Locked
 from data.se2 import Array, wrap_angle
-
-if TYPE_CHECKING:
-    from data.inputs import Increments
 
 
 class FixKind(IntEnum):
@@ -266,12 +263,12 @@ class Start(NamedTuple):
         return f"inferred: {flags}{math.degrees(st):.3g}deg, which takes odometry to the fixes"
 
 
-def onto_fixes(fixes: Fixes, moved: Increments) -> Start | None:
-    """The first pose that takes increments to the first fixes of places, if these tell its heading."""
+def onto_fixes(fixes: Fixes, mean: Array, covariance: Array) -> Start | None:
+    """The first pose that takes increments, mean (N, 3), to the first fixes of places, if these tell its heading."""
     rows = np.flatnonzero(fixes.kind != FixKind.HEADING)
     if not len(rows):
         return None
-    path = se2.dead_reckoned(np.zeros(3), moved.mean)
+    path = se2.dead_reckoned(np.zeros(3), mean)
     way = np.append(0.0, np.hypot(*np.diff(path[:, :2], axis=0).T).cumsum())[fixes.frame[rows]]
     lever = np.array([(*source.lever, 0.0) for source in fixes.sources])[fixes.source[rows]]
     path = se2.compose(path[fixes.frame[rows]], lever)[:, :2]
@@ -282,6 +279,6 @@ def onto_fixes(fixes: Fixes, moved: Increments) -> Start | None:
     far = np.flatnonzero((spread.sum(axis=1) > (CLEAR * sigma) ** 2) & (np.hypot(*(path - path[0]).T) > FAR))
     if not len(far):
         return None
-    drift = float(moved.covariance[: fixes.frame[rows[far[0]]] + 1, 2, 2].sum())
+    drift = float(covariance[: fixes.frame[rows[far[0]]] + 1, 2, 2].sum())
     deviation = np.array([sigma, sigma, math.sqrt(LOOSE**2 + drift / 3.0)])  # a third of it is in the mean of the way
     return Start(se2.rigid_fit(path[: far[0] + 1], fixes.z[rows[: far[0] + 1], :2]), deviation)

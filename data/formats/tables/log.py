@@ -592,7 +592,7 @@ def _counter_clockwise(fixes: Fixes, moved: Increments, wanted: Wanted) -> Fixes
     turned = se2.dead_reckoned(np.zeros(3), moved.mean)[fixes.frame[rows], 2]
     mean = {unit: complex(np.exp(1j * (turned - unit * fixes.z[rows, 2])).mean()) for unit in (1.0, *TURNED)}
     fit = [unit for unit in TURNED if abs(mean[unit]) > CONCENTRATED]
-    start = None if abs(mean[1.0]) > ODD or len(fit) != 1 else onto_fixes(fixes, moved)
+    start = None if abs(mean[1.0]) > ODD or len(fit) != 1 else onto_fixes(fixes, moved.mean, moved.covariance)
     if start is None:
         return fixes
     quarters = float(np.angle(mean[fit[0]]) + start[0][2]) / (0.5 * np.pi)
@@ -616,7 +616,7 @@ def _prior(
 ) -> Prior:
     """Belief about the first pose."""
     free = wanted.prior is None and pose is None and known is None
-    start = onto_fixes(fixes, moved) if free and fixes is not None else None
+    start = onto_fixes(fixes, moved.mean, moved.covariance) if free and fixes is not None else None
     if start is not None and fixes is not None and _agree(fixes, moved, start.pose):
         wanted.columns.origins["prior"] = Origin.INFERRED
         wanted.columns.notes.append(start.text)
