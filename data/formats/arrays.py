@@ -1,5 +1,6 @@
 """Files of arrays as tables: MATLAB's, and numpy's without pickles."""
 
+from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import numpy as np
 from data.columns.scans import BROKEN, array_of, open_archive
 from data.errors import DataError
 from data.formats.matlab import kind_of, load, variables
+from data.se2 import Array
 
 SUFFIXES = (".mat", ".npz", ".npy")
 PICKLES = (".pkl", ".pickle", ".p")
@@ -42,26 +44,80 @@ def named(path: Path) -> dict[str, Any]:
 
 def columns_of(path: Path) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
     """Names and rows: vectors as columns, blank below their ends: NAME, of a matrix NAME_1, NAME_2, ... (of a `WIDE`
-    one its rows), of a struct (or struct array) STRUCT.FIELD, or FIELD where it is the only one. DataError for a file
-    without numbers.
+    one its rows), of a struct STRUCT.FIELD, or FIELD where it is the only one; of structs and matrices in arrays see
+    `_listed`. DataError for a file without numbers.
     """
     found = named(path)
-    structs = [name for name, value in found.items() if isinstance(value, dict | list)]
-    columns: dict[str, list[str]] = {}
+    alone = sum(isinstance(value, dict | list) for value in found.values()) == 1
+    columns: Columns = {}
     for name, value in found.items():
-        items: dict[str, Any] = {name: value}
-        if isinstance(value, dict | list):
-            each: list[dict[str, Any]] = [value] if isinstance(value, dict) else value
-            above = f"{name}." if len(structs) > 1 else ""
-            alike = [key for key in (each[0] if each else ()) if len({np.shape(struct[key]) for struct in each}) == 1]
-            items = {f"{above}{key}": np.squeeze([struct[key] for struct in each]) for key in alike}
-        for key, numbers in items.items():
-            if kind_of(numbers) == "numbers" and numbers.ndim <= 2:
-                table = numbers.reshape(-1, 1) if 1 in numbers.shape or numbers.ndim < 2 else numbers
-                table = table.T if len(table) <= WIDE[0] and len(table.T) >= WIDE[1] else table
-                for k, column in enumerate(table.T.tolist(), start=1):
-                    columns[f"{key}_{k}" if len(table.T) > 1 else key] = [repr(float(v)) for v in column]
+        columns |= _unrolled("" if alone and isinstance(value, dict | list) else name, value)
     rows = tuple(zip_longest(*columns.values(), fillvalue=""))
     if not rows:
         raise DataError.at(path, f"no vector of numbers; it has {', '.join(found) or 'nothing'}")
     return tuple(columns), rows
+
+
+Columns = dict[str, list[str]]
+
+
+def _unrolled(name: str, value: Any) -> Columns:
+    """The columns of a value of a file, in words of `columns_of`."""
+    if isinstance(value, dict):
+        each = [_unrolled(f"{name}.{key}".lstrip("."), item) for key, item in value.items()]
+        return {key: column for columns in each for key, column in columns.items()}
+    if isinstance(value, list):
+        return _listed(name, value)
+    if kind_of(value) == kind_of(np.array([None])):
+        return _listed(name, [{"": item} for item in value.ravel(order="F")])
+    if kind_of(value) != "numbers" or value.ndim > 2 or not value.size:
+        return {}
+    table = value.reshape(-1, 1) if 1 in value.shape or value.ndim < 2 else value
+    return _numbered(name, table.T if len(table) <= WIDE[0] and len(table.T) >= WIDE[1] else table)
+
+
+def _numbered(name: str, table: Array) -> Columns:
+    names = [f"{name}_{k}" for k in range(1, len(table.T) + 1)] if len(table.T) > 1 else [name]
+    return {key: [repr(float(v)) for v in column] for key, column in zip(names, table.T.tolist(), strict=True)}
+
+
+def _listed(name: str, structs: Sequence[Mapping[str, Any]]) -> Columns:
+    """A row for each struct, of fields that have as many numbers in all. Below them a row for each column of a matrix,
+    or each struct, that a field holds: with the number of its struct as NAME.frame, and its single numbers, as stamps.
+    """
+    columns, single, inside = Columns(), list[str](), list[str]()
+    for key in structs[0] if structs else ():
+        shapes = {np.shape(s[key]) if isinstance(s[key], np.ndarray) else () for s in structs}
+        own, plain = f"{name}.{key}".strip("."), all(kind_of(s[key]) == "numbers" for s in structs)
+        if plain and len(shapes) == 1 and sum(n > 1 for n in next(iter(shapes))) < 2:
+            columns |= _numbered(own, np.stack([s[key].ravel() for s in structs]))
+            single += [key] * (own in columns)
+        else:
+            inside.append(key)
+    for key in inside:
+        own, rows = f"{name}.{key}".strip("."), len(next(iter(columns.values()), ()))
+        for k, struct in enumerate(structs):
+            found = _columns_across(own, struct[key], [s[key] for s in structs])
+            count = max(map(len, found.values()), default=0)
+            found |= {f"{name}.{one}".strip("."): [repr(float(struct[one].item()))] * count for one in single}
+            found[f"{name}.frame".strip(".")] = [str(k)] * count
+            for column, values in found.items() if count else ():
+                columns.setdefault(column, []).extend([*[""] * (rows - len(columns.get(column, ()))), *values])
+            rows += count
+    return columns
+
+
+def _columns_across(name: str, value: Any, each: Sequence[Any]) -> Columns:
+    """Those of a matrix whose columns, or whose rows if only these differ in number among `each`, are rows."""
+    if kind_of(value) != "numbers":
+        return _unrolled(name, [value] if isinstance(value, dict) else value)
+    shapes = [np.shape(v) for v in each if isinstance(v, np.ndarray) and v.size and v.ndim == 2]
+    low, wide = ({shape[axis] for shape in shapes} for axis in (0, 1))
+    if (
+        value.ndim != 2
+        or not value.size
+        or min(len(low), len(wide)) > 1
+        or max(low if len(low) == 1 else wide) > WIDE[0]
+    ):
+        return {}
+    return _numbered(name, value.T if len(low) == 1 else value)

@@ -266,9 +266,14 @@ def _check(data: Bytes, at: int, end: int, order: str, depth: int = 0) -> bool:
     return is_complex
 
 
-def _of_scipy(value: Any) -> Value:
+def _of_scipy(value: Any) -> Any:
+    if isinstance(value, np.ndarray) and value.dtype == object:  # a cell array
+        cells = [_of_scipy(item) for item in value.ravel(order="F")]
+        if cells and all(isinstance(cell, dict) for cell in cells):
+            return cells
+        return np.fromiter(cells, object, len(cells))
     if not isinstance(value, np.ndarray) or not value.dtype.names:
-        return value  # type: ignore[no-any-return]
+        return value
     found = [{name: _of_scipy(item[name]) for name in value.dtype.names} for item in value.ravel(order="F")]
     return found[0] if len(found) == 1 else found
 

@@ -294,7 +294,7 @@ RATES = {"kmh": "km/h", "kph": "km/h", "mph": "mi/h", "kn": "nmi/h", "rpm": "rev
 STAMPS = ("t", "t1", "t2")
 INSTANTS = {*STAMPS, "frame", "frame1"}
 QUANTITIES = {
-    **dict.fromkeys(STAMPS, "time"), **dict.fromkeys(("x", "y", "dx", "dy", "range", "sx", "sy"), "length"),
+    **dict.fromkeys((*STAMPS, "dt"), "time"), **dict.fromkeys(("x", "y", "dx", "dy", "range", "sx", "sy"), "length"),
     **dict.fromkeys(("theta", "dtheta", "bearing", "stheta", "steering"), "angle"),
     "v": "length/time", "omega": "angle/time",
     **dict.fromkeys(("left", "right", "frame", "id", "true_id", "label", "qx", "qy", "qz", "qw"), ""),
@@ -381,12 +381,13 @@ ALSO = {
     "omega": ("w", "yawrate", "angularvelocity", "angvel", "turnrate"),
     "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg", "b"),
     "dx": ("d", "ds", "deltas", "deltad", "deltax"), "dy": ("deltay",), "dtheta": ("deltatheta", "deltayaw", "dyaw"),
-    "steering": ("steer", "steeringangle"),
+    "steering": ("steer", "steeringangle"), "dt": ("deltat", "deltatime", "timestep"),
     "x": ("gpsx", "uwbx", "east", "easting"), "y": ("gpsy", "uwby", "north", "northing"),
     **dict.fromkeys(("label", "id"), ("landmarkid", "beaconid", "markerid", "tagid")),
     "lat": ("latitude",), "lon": ("longitude", "lng"),
     "frame": ("poseid",), "frame1": ("fromid", "idfrom"), "frame2": ("toid", "idto"),
 }  # fmt: skip
+WITHIN = ("frame", "frame1", "frame2")
 """Other usual names of a quantity, in small letters only, beside those of results (`role_of`); read, with the unit at
 their end, where a file has exactly one of them."""
 
@@ -399,7 +400,7 @@ class Columns:
     named a column so far; `read`: columns (file, number) that were read; `notes`: about rows that were left out;
     `asked`: questions that only the files raise; `datum`: latitude and longitude [deg] of the origin, of the first
     place in degrees; `origins`: of what the data tell, or nobody; `period`: s between rows of an odometry without
-    stamps.
+    stamps; `intervals`: columns (file, number) that are named as stamps and are the time between rows.
     """
 
     given: Mapping[str, str]
@@ -413,6 +414,7 @@ class Columns:
     datum: list[float] = field(default_factory=list)
     origins: dict[str, Origin] = field(default_factory=dict)
     period: float | None = None
+    intervals: set[tuple[Path, int]] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         for key, name in self.given.items():
@@ -442,12 +444,17 @@ class Columns:
             if column is not None:
                 self.used.add(quantity)
                 return column
-        if file.named and quantity in file.names:
+        if file.named and quantity in file.names and (file.path, file.names.index(quantity)) not in self.intervals:
             return file.find("time" if quantity == "t" and self._headings(file) else quantity)
         usual = (quantity.replace("theta", "yaw"), quantity)
         read = {c: (role_of(name)[0], "".join(words_of(name)[0])) for c, name in enumerate(file.names) if file.named}
         also = [c for c, (role, word) in read.items() if role in usual or word in (quantity, *ALSO.get(quantity, ()))]
+        if not also and quantity in WITHIN:  # of a field within structs; not the number of a struct that has its own
+            last = {c: "".join(words_of(name.rpartition(".")[2])[0]) for c, name in enumerate(file.names) if file.named}
+            also = [c for c, word in last.items() if word in ALSO[quantity]]
+            also = also or [c for c, word in last.items() if word == quantity]
         if quantity == "t":  # not the time of recording
+            also = [c for c in also if (file.path, c) not in self.intervals]
             also = [c for c in also if "header" in file.names[c]] or also
         if len(also) != 1:
             return self.find(file, role, EARTH[quantity]) if quantity in EARTH and role in ON_EARTH else None
@@ -548,9 +555,9 @@ class Columns:
     ) -> tuple[Table, int]:  # fmt: skip
         """Quantities of a file in SI units, some optional, and `texts` as words; and the number of skipped rows.
 
-        Rows whose required quantities except t are all blank are skipped, unless these may be blank. Rows that repeat
-        an earlier one count once: of sensors in all fields, of others in those that are read. DataError for a missing
-        column, or an invalid or blank field.
+        Rows whose required quantities except instants are all blank are skipped, unless these may be blank. Rows that
+        repeat an earlier one count once: of sensors in all fields, of others in those that are read. DataError for a
+        missing column, or an invalid or blank field.
         """
         columns = dict(zip(quantities, self.require(file, role, quantities), strict=True))
         columns |= {q: c for q in optional if (c := self.find(file, role, q)) is not None}
@@ -558,9 +565,9 @@ class Columns:
         self.read |= {(file.path, c) for c in (*columns.values(), *named.values())}
         empty = np.ones(len(file), bool)
         for q in quantities:
-            if q != "t":
+            if q not in INSTANTS:
                 empty &= np.array([row[columns[q]].lower() in ("", "nan") for row in file.rows], bool)
-        if role == "truth" and 2 * empty.sum() > len(file):  # rows of several topics
+        if role == "truth" and "t" in columns and 2 * empty.sum() > len(file):  # rows of several topics
             some = f"{int(empty.sum())} of {len(file)} rows have no true pose: it is interpolated between the others"
             self.notes.append(f"{file.path.name}: {some}")
         else:

@@ -16,9 +16,9 @@ from data.csv_table import Table, is_name
 from data.errors import DataError, UsageError
 from data.formats.messages import runs_of
 from data.formats.recordings.laser import TravelNoise, increments_of
-from data.formats.results.path import COARSE
+from data.formats.results.path import COARSE, STEPS
 from data.formats.second_odometry import closures_between, covered, of_twists, own_name
-from data.formats.tables.files import QUATERNION, SECOND, Columns, TextTable, headings
+from data.formats.tables.files import BEYOND, QUATERNION, SECOND, Columns, TextTable, headings
 from data.inputs import Increments
 from data.motion.velocity import MAX_HOLD, VelocityModel, VelocityNoise, preintegrate, told
 from data.pose_measurements import Closures
@@ -148,20 +148,29 @@ def read_odometry(
     if kind == "steps" and columns.find(file, role, "dy") is None:
         columns.notes.append(f"{file.path.name}: assumed: steps have no dy, so the robot moves ahead alone")
         quantities = ("dx", "dtheta")
-    stamped = columns.find(file, role, "t") is not None
-    if not stamped and kind in STAMPED and columns.period is None:
+    if kind in STAMPED:
+        _intervals(file, columns, role)
+    stamped, period = columns.find(file, role, "t") is not None, columns.period
+    summed = not stamped and period is None and kind in STAMPED and columns.find(file, role, "dt") is not None
+    if not stamped and not summed and kind in STAMPED and period is None:
         columns.require(file, role, ("t",))
-    table, skipped = columns.table(file, role, (*(("t",) if stamped else ()), *quantities))
-    if not stamped and columns.period is not None:
-        table = replace(table, columns={**table.columns, "t": columns.period * np.arange(len(table), dtype=float)})
-        stamped = True
+    more = ("dt",) * summed
+    table, skipped = columns.table(file, role, (*["t"] * stamped, *quantities), optional=more, may_be_blank=more)
+    since = period * np.arange(len(table), dtype=float) if period is not None and not stamped else None
+    if summed:
+        each = table.get("dt")
+        each = each[np.isfinite(each)].repeat(len(each)) if np.isfinite(each).sum() == 1 else each
+        table.require(each > 0.0, "dt", "{} is no time > 0")
+        since = np.cumsum(each) - each
+    if since is not None:
+        table, stamped = replace(table, columns={**table.columns, "t": since}), True
     if len(table) == 0:
         raise DataError.at(file.path, f"no row has {', '.join(quantities)}")
     notes = columns.notes
     time = table.columns["t"] if stamped else np.arange(len(table), dtype=float)
     instants = np.full(len(file), np.nan)
     instants[np.searchsorted(file.line, table.line)] = time
-    if stamped and (lost := np.isnan(instants)).any():
+    if since is None and stamped and (lost := np.isnan(instants)).any():
         instants[lost] = columns.stamps(file, role, lost)
     if stamped:
         back, rows = np.diff(time) < 0.0, [file.rows[k] for k in np.searchsorted(file.line, table.line)]
@@ -229,6 +238,23 @@ def path_of(texts: Mapping[str, TextTable], columns: Columns, kind: str) -> tupl
     return odometry.time, se2.dead_reckoned(np.zeros(3), steps)
 
 
+def _intervals(file: TextTable, columns: Columns, role: str) -> None:
+    """Take a column named as stamps that do not ascend, all about as small, for the time until the next row."""
+    if (column := columns.find(file, role, "t")) is None or columns.units.is_date(role):
+        return
+    each = columns.stamps(file, role, np.array([row[column] != "" for row in file.rows]))
+    usual, back = float(np.median(each)) if len(each) > MANY else 0.0, np.mean(np.diff(each) < 0.0)
+    if not (back > SOME and usual < STEPS[1] and each.min() > 0.0 and each.max() < BEYOND * usual):
+        return
+    name = file.names[column]
+    columns.intervals.add((file.path, column))
+    columns.given = {**columns.given, f"{role}.dt": name}
+    columns.notes.append(f"{file.path.name}: inferred: --columns {role}.dt={name}, as {name} does not ascend")
+
+
+MANY, SOME = 20, 0.1  # Fewest rows, and least share of steps back, of a column of times that are no stamps
+
+
 def _rolled(ticks: Array, wheels: Wheels, time: Array) -> Array:
     """Poses (K, 3) of a two-wheeled robot from its ticks (K, 2), left and right: an arc from row to row."""
     turned = ticks.copy() if wheels.each else np.diff(ticks, axis=0, prepend=ticks[:1])
@@ -251,12 +277,7 @@ class Second:
 
 
 def read_second(file: TextTable, second: Second, columns: Columns, first: Odometry) -> Odometry:
-    """The second odometry of a file.
-
-    Raises:
-        DataError: no stamps where the first has some, another number of rows where it has none, or the same motion:
-            one measurement would count twice.
-    """
+    """The second odometry of a file; DataError for stamps or rows unlike the first's, or the same motion once more."""
     found = read_odometry(file, columns, second.kind, None, SECOND)
     if found.stamped != first.stamped:
         columns.require(file, SECOND if first.stamped else "odometry", ("t",))

@@ -178,6 +178,46 @@ def test_a_last_row_that_is_cut_off_is_left_out(read, unread):
     assert ":7: 2 fields" in unread({"o.csv": WHEELS, "s.csv": seen + "5,4\n6,3,0.1\n"}, "--observations", "s.csv")
 
 
+def cell(*items):
+    made = np.empty((len(items), 1), object)
+    made[:, 0] = items
+    return made
+
+
+def test_structs_and_matrices_within_arrays_are_rows(convert, tmp_path):
+    """As many landmarks as a step has; a field named time holds the time between steps, as it does not ascend."""
+    seen = [np.array([[40.0 - k, 2.0][: 1 + k % 2], [0.5, 0.1][: 1 + k % 2], [7, 9][: 1 + k % 2]]) for k in range(30)]
+    steps = [{"speed": [[0.5], [0.1]], "marks": z, "time": 0.1 + 0.02 * (k % 2)} for k, z in enumerate(seen)]
+    savemat(tmp_path / "a.mat", {"d": steps})
+    named = "v=speed_1,omega=speed_2,x=marks_1,y=marks_2,label=marks_3"
+    log, said = convert({}, "table", "a.mat", "out", "--columns", named)
+    o = log.recorded.observations
+    assert log.recorded.time[:4] == pytest.approx([0.0, 0.1, 0.22, 0.32])
+    assert (o.frame[:6].tolist(), log.label[:6].tolist()) == ([0, 1, 1, 2, 3, 3], [7, 7, 9, 7, 7, 9])
+    assert o.z[[0, 2]] == pytest.approx(np.array([[40.0, 0.5], [2.0, 0.1]]))
+    assert "inferred: --columns odometry.dt=time, as time does not ascend" in said
+
+
+def test_cells_of_matrices_and_structs_within_structs(convert, tmp_path):
+    """Steps between poses; numbers of poses count from 1."""
+    odometry, truth = np.array([[0.5], [0.0], [0.1]]).repeat(40, axis=1), np.zeros((3, 41))
+    z = cell(*([[5.0, 4.0][: k % 3], [0.1, 0.2][: k % 3]] for k in range(40)))
+    savemat(tmp_path / "b.mat", {"odo": odometry, "gt": truth, "z": z})
+    steps = "dx=odo_1,dy=odo_2,dtheta=odo_3"
+    true = ("--truth", "b.mat", "--columns", "truth.x=gt_1,truth.y=gt_2,truth.theta=gt_3")
+    log, _ = convert({}, "table", "b.mat", "out", "--columns", f"{steps},range=z_1,bearing=z_2", *true)
+    assert (len(log.recorded), len(log.recorded.observations.z)) == (41, 39)
+    assert log.recorded.observations.frame[:4].tolist() == [1, 2, 2, 4]
+    seen = [{"pose_id": k, "seen": [{"id": 8 + j, "p": [[4.0], [j]]} for j in range(1 + k % 2)]} for k in range(2, 42)]
+    moves = [{"from_id": k, "to_id": k + 1, "v": [[0.5], [0.0], [0.1]]} for k in range(1, 41)]
+    savemat(tmp_path / "b.mat", {"d": {"gt": truth, "obs": seen, "moves": moves}})
+    named = steps.replace("odo", "moves.v") + ",x=obs.seen.p_1,y=obs.seen.p_2,label=obs.seen.id"
+    log, said = convert({}, "table", "b.mat", "out", "--columns", named, *true)
+    o = log.recorded.observations
+    assert (len(log.recorded), o.frame[:4].tolist(), log.label[:4].tolist()) == (41, [1, 2, 2, 3], [8, 8, 9, 8])
+    assert "inferred: frame counts from 1, as 41 is its last" in said
+
+
 def test_true_poses_at_one_stamp_are_one_where_they_are_alike(read, unread):
     odometry = "t,v,omega,range,bearing\n" + "".join(f"{k},0.5,0,{9 - k},0.2\n" for k in range(9))
     true = ["time,px,py,yaw", *(f"{k},{0.5 * k},0,0" for k in range(9))]
