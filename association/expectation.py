@@ -1,7 +1,4 @@
-"""Expected measurements and their joint covariance: the input of every association method.
-
-The EKF forms them from its covariance, iSAM2 from joint marginals; plain arrays can state a recorded problem.
-"""
+"""Expected measurements and joint covariance, of an estimator or stated: the input of every association method."""
 
 from __future__ import annotations
 

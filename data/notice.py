@@ -1,7 +1,4 @@
-"""A finding about a log or a run as typed values: code, severity, and the log or run it concerns.
-
-A notice holds no sentence; `data.words` renders it for terminal, Markdown and HTML.
-"""
+"""A finding about a log or a run as typed values, without a sentence: `data.words` renders it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""`slamref benchmark`: speed of the estimators and of their peers in the same process.
-
-Each number is the median of several repetitions after a warm-up. Ratios hold on other machines, seconds do not.
-"""
+"""`slamref benchmark`: speed of estimators and peers in one process, each the median of repetitions after a warm-up."""
 
 import argparse
 import sys

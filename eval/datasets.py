@@ -1,7 +1,4 @@
-"""`slamref datasets`: public data sets, where they are, and the commands; `slamref study datasets FOLDER` runs them.
-
-The list is `datasets.toml` beside this module. Nothing is fetched.
-"""
+"""`slamref datasets`: public data sets (`datasets.toml`), where they are, and the commands. Nothing is fetched."""
 
 import hashlib
 import shlex

@@ -1,8 +1,4 @@
-"""`slamref run`: run filters and smoothers on identical inputs, score them, write the report.
-
-The result folder is built beside its final name and moved into place at the end: an interrupted run leaves the previous
-report complete.
-"""
+"""`slamref run`: run filters and smoothers on identical inputs, score them, write the report."""
 
 import os
 import signal

@@ -1,7 +1,4 @@
-"""gtsam's iSAM2 with recovery: QR where Cholesky fails, and the name of an undetermined variable.
-
-A `Window` can marginalize variables: their information about the others remains as a linear factor.
-"""
+"""gtsam's iSAM2 with recovery: QR where Cholesky fails, and the name of an undetermined variable; marginalization."""
 
 import copy
 import re

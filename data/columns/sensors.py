@@ -1,7 +1,4 @@
-"""Sensors of landmarks in `log.toml`, and what the rows of observations.csv measure with them.
-
-docs/log-folder.md and docs/notes/several-sensors.md list the keys. Reading sorts a frame's rows by sensor.
-"""
+"""Sensors of landmarks in `log.toml`, and what the rows of observations.csv measure with them (docs/log-folder.md)."""
 
 import math
 from collections.abc import Callable, Sequence

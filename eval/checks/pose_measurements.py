@@ -1,7 +1,4 @@
-"""Checks of `fix` and `close_loops` of an estimator that has them, on a small log with both.
-
-The right result is that of our EKF, which tests compare with dense least squares.
-"""
+"""Checks of `fix` and `close_loops` of an estimator that has them, against our EKF, on a small log with both."""
 
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,4 @@
-"""Figures of a log: when each applies and where it stands, and which of many runs it shows, few enough to read.
-
-Known association and joint compatibility come first.
-"""
+"""Figures of a log: when each applies and where it stands, and which of many runs it shows, few enough to read."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,4 @@
-"""The page: one file with style, scripts and data, which loads nothing else.
-
-The live page has no data and fetches chunks from its server (`wings.robot.live`).
-"""
+"""The page: one file with style, scripts and data, loading nothing else; live (`wings.robot.live`), without data."""
 
 import html
 import re

@@ -1,7 +1,4 @@
-"""A log and its runs for the page, as one chunk (see `eval.player.pack`).
-
-Chunks of the live page have the same arrays and headers.
-"""
+"""A log and its runs for the page, as one chunk (see `eval.player.pack`); those of a live page have the same arrays."""
 
 import base64
 import io

@@ -1,8 +1,4 @@
-"""Detection of lost estimators without truth: unpaired observations, missed landmarks, absurd innovations.
-
-A lost estimator may keep small covariances, and without pairings its innovations look right. So the share of paired
-observations and the share of detected landmarks in view are tested.
-"""
+"""Detection of lost estimators without truth: unpaired observations, missed landmarks, absurd innovations."""
 
 import numpy as np
 

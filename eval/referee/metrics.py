@@ -1,7 +1,4 @@
-"""The metrics of the referee: column, unit, heading, format and preferred values of each.
-
-`metrics.csv` and `association.csv` take their columns from here in this order, the report and step mode their heads.
-"""
+"""The metrics of the referee, in the order of tables: column, unit, heading, format and preferred values of each."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,4 @@
-"""Tables of flags and kinds of values, for command line, config files and scenario files.
-
-A table is a dataclass whose fields carry a `Flag`, or are such tables themselves.
-"""
+"""Tables of flags and kinds of values, for command line, config files and scenario files."""
 
 import argparse
 import math

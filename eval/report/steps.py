@@ -1,7 +1,4 @@
-"""The steps of `slamref run` once the flags are read: plan, estimate, judge, tell, write.
-
-This module loads all that a table needs; the command imports it once there is something to do.
-"""
+"""The steps of `slamref run` once the flags are read, and all that they import: plan, estimate, judge, tell, write."""
 
 import time
 from collections.abc import Callable, Iterable, Sequence

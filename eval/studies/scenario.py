@@ -1,7 +1,4 @@
-"""Scenarios: a world, estimators, declarations about them, and published numbers.
-
-Scenarios are TOML files with checked keys; the shipped ones are in `eval/scenarios`.
-"""
+"""Scenarios, TOML files as in `eval/scenarios`: a world, estimators, declarations about them, and published numbers."""
 
 from __future__ import annotations
 

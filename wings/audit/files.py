@@ -259,6 +259,8 @@ def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, least: fl
     """The minimum near the values by Gauss-Newton, and Levenberg-Marquardt where a step does not gain what it promises.
     Gauge freedom stays. It ends early where the steps that are left do not lead below the cost `least`.
     """
+    if not graph.nrFactors():
+        return values
     callbacks = sum(isinstance(graph.at(i), gtsam.CustomFactor) for i in range(graph.size()) if graph.exists(i))
     system, far = linearize(graph, values), callbacks * values.size() < COPIES
     order, cost = ordering(system), graph.error(values)

@@ -1,7 +1,4 @@
-"""From images to a log: pictures detected frame by frame, their corners as observations, commands as odometry.
-
-Detections are cached beside the recording, keyed by its content and by the code that renders, reads and detects.
-"""
+"""From images to a log: corners of detected pictures as observations, commands as odometry; detections are cached."""
 
 import hashlib
 import json

@@ -1,7 +1,4 @@
-"""Robots in the arena that observe each other: loops about one centre, of several sizes, in both directions.
-
-Each robot has odometry, observations of landmarks and a prior of its own, all from independent streams of the seed.
-"""
+"""Robots in the arena that observe each other: loops about one centre, of several sizes, in both directions."""
 
 import math
 from collections.abc import Mapping

@@ -1,7 +1,4 @@
-"""A part of an assignment: questions to a function of the student's, each with the reference's answer.
-
-Every question states all that its answer depends on, so an early mistake is not counted again later.
-"""
+"""A part of an assignment: questions to a function of the student's, independent of each other, with right answers."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field

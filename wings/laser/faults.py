@@ -1,7 +1,4 @@
-"""What speaks against the result of a laser log without any truth: wheels, refused loop closures, doubled walls.
-
-And with reference relations: claimed covariances.
-"""
+"""What speaks against the result of a laser log: wheels, refused closures, doubled walls, and reference relations."""
 
 import math
 from collections.abc import Sequence

@@ -1,9 +1,7 @@
-"""ROS bags: opening them, stamps, rotations, and the frames that tf states.
+"""ROS bags (`rosbags`): opening them, stamps, rotations, and the frames that tf states.
 
 `T_pc` is the pose of the child in its parent. A static transform holds always. Others are interpolated between their
 stamps, and held before the first and after the last.
-
-Needs `rosbags`.
 """
 
 import math

@@ -21,11 +21,8 @@ STATED = ("angle_min", "angle_increment", "range_max")
 def read_scans(
     file: TextTable, columns: Columns, scanner: Array | None, odometry: Odometry
 ) -> tuple[LaserScans, Table]:
-    """The scans within the odometry, and their stamps as a table; without stamps one for each of its rows.
-
-    `scanner`: (3,) first angle and step [rad] and reach [m], where no columns state them.
-
-    Raises DataError for missing columns or an invalid field, UsageError where the angles are unknown.
+    """The scans within the odometry, and their stamps as a table; without stamps one for each of its rows. `scanner`:
+    (3,) first angle, step [rad] and reach [m]. DataError for columns or fields, UsageError without angles.
     """
     at = {name.rpartition(".")[2]: k for k, name in enumerate(file.names)}
     first = columns.find(file, "scans", "range")

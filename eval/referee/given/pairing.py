@@ -1,7 +1,4 @@
-"""A result and its truth made comparable: one unit of stamps, one pair of frames, and questions about what differs.
-
-A question is a notice with the numbers that raise it; the numbers of the result are given all the same.
-"""
+"""A result and its truth made comparable: one unit of stamps, one pair of frames, and questions about what differs."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping

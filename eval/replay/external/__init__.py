@@ -1,4 +1,1 @@
-"""Foreign estimators and association methods: located, loaded, and completed by an adapter.
-
-Elsewhere they are a text, `NAME=FILE:ATTRIBUTE` or `NAME=MODULE:ATTRIBUTE`, which any process can load.
-"""
+"""Foreign estimators and association methods, `NAME=FILE:ATTRIBUTE` or `NAME=MODULE:ATTRIBUTE`: located and loaded."""

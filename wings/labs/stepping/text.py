@@ -1,7 +1,4 @@
-"""The text of a step, as in the university lab on data association: decisions above the truth, and counts.
-
-Pure functions of decisions and of the referee's results. The words: `steps.j2`.
-"""
+"""The text of a step, as in the university lab on data association: decisions above the truth, and counts."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence

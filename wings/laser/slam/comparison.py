@@ -1,7 +1,4 @@
-"""Estimators compared on one laser log: the front end once, then each on its constraints.
-
-In the end frames without a scan get the odometry between two scans, adjusted to connect them.
-"""
+"""Estimators compared on one laser log: the front end once, then each on its constraints."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace

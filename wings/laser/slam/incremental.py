@@ -1,8 +1,4 @@
-"""Graph SLAM by scan matching, frame by frame: the front end of a laser log, and of a robot that drives.
-
-Each scan is matched to the last key scans; a new key pose joins the graph where the robot has moved on, and may close
-loops.
-"""
+"""Graph SLAM by scan matching, frame by frame: the front end of a laser log, and of a robot that drives."""
 
 import numpy as np
 

@@ -1,7 +1,4 @@
-"""`python -m eval.live`: online filters and smoothers while a small robot drives, with a recording for replay.
-
-Only the parser is imported at once, so that `--help` does not wait for numerical libraries.
-"""
+"""`python -m eval.live`: online filters and smoothers while a small robot drives, with a recording for replay."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Graph SLAM by scan matching while the robot drives: the front end of laser logs, a frame at a time; its grid.
-
-`wings.laser.slam.front_end` gives a recording the same online poses, to the bit.
-"""
+"""Graph SLAM by scan matching while the robot drives: the front end of laser logs, a frame at a time; its grid."""
 
 import base64
 import io

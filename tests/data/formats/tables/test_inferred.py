@@ -151,6 +151,9 @@ def test_a_compass_and_dates(convert):
         assert f"inferred: headings of fixes are {since}" in said
         assert log.recorded.prior.mean == pytest.approx([0.0, 0.0, 0.0], abs=0.01)
         np.testing.assert_allclose(log.recorded.fixes.z[:, 2], circle[log.recorded.fixes.frame, 2], atol=0.03)
+    rows = (f"{d},{wrap_angle(3.0 + h)},{x},{y}" for d, (x, y, h) in zip(dates, circle, strict=True))
+    files["gps.csv"] = "\n".join(["time,heading,x,y", *rows])
+    assert "unknown start" in convert(files, "table", "o.csv", "out", "--fixes", "gps.csv", status=2)  # they disagree
 
 
 @pytest.mark.parametrize("names", ["from_id,to_id,dx,dy,dtheta", "a,b,dx,dy,dtheta"])
