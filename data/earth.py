@@ -23,13 +23,8 @@ def centred(place: Array) -> Array:
     return np.stack([level * np.cos(longitude), level * np.sin(longitude), up], axis=-1)
 
 
-def east_north(place: Array, origin: Array) -> Array:
-    """Metres east and north (N, 2) of an origin (3,), both as latitude, longitude [deg], height [m]; places (N, 3)."""
-    return east_north_up(place, origin)[:, :2]
-
-
 def east_north_up(place: Array, origin: Array) -> Array:
-    """The same, with the metres (N, 3) above the plane that touches the ellipsoid's parallel at the origin."""
+    """Metres east, north and up (N, 3) of an origin (3,), as places (N, 3) latitude, longitude [deg], height [m]."""
     off = centred(place) - centred(origin)
     (s_lat, c_lat), (s_lon, c_lon) = ((np.sin(a), np.cos(a)) for a in np.radians(origin[:2]))
     east = np.array([-s_lon, c_lon, 0.0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -10,6 +11,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from data import se2
 from data.locked import IntArray, Locked
 from data.se2 import Array, wrap_angle
 
@@ -241,3 +243,42 @@ def not_used(dof: IntArray | Sequence[int]) -> PoseUpdated:
     return PoseUpdated(
         np.zeros(f, np.bool_), nothing[:, 0].copy(), np.array(dof, np.int64), nothing, np.full((f, 3, 3), np.nan)
     )
+
+
+CLEAR = 15.0  # Reach of fixes (root of the sum of their distances²) over their sigma that tells the heading to 4 deg
+FAR, LOOSE = 1.0, math.radians(10.0)  # m, way from the start that tells its heading; rad, least deviation of that
+
+
+class Start(NamedTuple):
+    """A first pose (3,) and its standard deviations (3,)."""
+
+    pose: Array
+    sigma: Array
+
+    @property
+    def text(self) -> str:
+        """As flags, in a note."""
+        (x, y, turn), (sx, sy, st) = self.pose.tolist(), self.sigma.tolist()
+        flags = f"--prior={x:.4g},{y:.4g},{math.degrees(turn):.3g}deg --prior-sigma {sx:.3g},{sy:.3g},"
+        return f"inferred: {flags}{math.degrees(st):.3g}deg, which takes odometry to the fixes"
+
+
+def onto_fixes(fixes: Fixes, mean: Array, covariance: Array) -> Start | None:
+    """The first pose that takes increments, mean (N, 3), to the first fixes of places, if these tell its heading."""
+    rows = np.flatnonzero(fixes.kind != FixKind.HEADING)
+    if not len(rows):
+        return None
+    path = se2.dead_reckoned(np.zeros(3), mean)
+    way = np.append(0.0, np.hypot(*np.diff(path[:, :2], axis=0).T).cumsum())[fixes.frame[rows]]
+    lever = np.array([(*source.lever, 0.0) for source in fixes.sources])[fixes.source[rows]]
+    path = se2.compose(path[fixes.frame[rows]], lever)[:, :2]
+    sigma = math.sqrt(float(np.median(fixes.covariance[rows, 0, 0])))
+    new = np.diff(way // max(FAR, sigma), prepend=-1.0) > 0.0  # errors at one place are alike: they count once
+    count = np.maximum(np.cumsum(new), 1)
+    spread = np.cumsum(new[:, None] * path**2, axis=0) - np.cumsum(new[:, None] * path, axis=0) ** 2 / count[:, None]
+    far = np.flatnonzero((spread.sum(axis=1) > (CLEAR * sigma) ** 2) & (np.hypot(*(path - path[0]).T) > FAR))
+    if not len(far):
+        return None
+    drift = float(covariance[: fixes.frame[rows[far[0]]] + 1, 2, 2].sum())
+    deviation = np.array([sigma, sigma, math.sqrt(LOOSE**2 + drift / 3.0)])  # a third of it is in the mean of the way
+    return Start(se2.rigid_fit(path[: far[0] + 1], fixes.z[rows[: far[0] + 1], :2]), deviation)

@@ -18,7 +18,7 @@ from data import se2
 from data.columns.named import LENGTH
 from data.columns.scans import with_returns
 from data.digest import source_file
-from data.earth import east_north
+from data.earth import east_north_up
 from data.errors import DataError, UsageError, did_you_mean
 from data.formats.recordings import laser as lasers
 from data.formats.recordings import ros
@@ -32,7 +32,7 @@ from data.inputs import UNLABELLED, Inputs, IntArray, LandmarkMap, Observations,
 from data.log import Log
 from data.notice import Notice
 from data.origin import Origin
-from data.pose_measurements import Closures, Fixes, FixKind, FixSource
+from data.pose_measurements import Closures, Fixes, FixKind, FixSource, onto_fixes
 from data.se2 import Array, BoolArray, interpolate, inverse
 from data.sensors import Bearing, Range, RangeBearing, RelativePoint, Sensor
 from data.terminal import counted, in_columns
@@ -704,13 +704,16 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
     notes += [f"Truth: {ABSENT}."] if true is not None and not np.isfinite(true[:, 2]).any() else []
     if datum is not None:
         notes.append(f"The world's x and y point east and north; its origin is at {datum[0]:.9g}, {datum[1]:.9g} deg.")
-    prior, note = _prior(wanted, pose[0], true, fixed, first)
+    fixes = _all_fixes(fixed, time) if fixed else None
+    free = wanted.prior is None and true is None and {f.kind for f in fixed} == {FixKind.POSITION}
+    start = onto_fixes(fixes, increments.mean, increments.covariance) if free and fixes is not None else None
+    onto = None if start is None else (Prior(start.pose, np.diag(start.sigma**2)), start.text)
+    prior, note = onto or _prior(wanted, pose[0], true, fixed, first)
     recorded = Inputs(
         prior=prior, time=time - first, increments=increments, observations=observations,
         sensor=sensors[0] if sensors else RangeBearing(), covariance_floor=FLOOR, floored=floored,
         scans=None if laser is None else Scans(laser.scanner, _at(laser.stamp, time), laser.ranges),
-        fixes=_all_fixes(fixed, time) if fixed else None, closures=closures,
-        sensors=sensors if len(sensors) > 1 else (), map=known,
+        fixes=fixes, closures=closures, sensors=sensors if len(sensors) > 1 else (), map=known,
     )  # fmt: skip
     origins = {} if laser is None else {**laser.origins}
     origins |= {"odometry_noise": Origin.ASSUMED} | ({"observation_noise": Origin.GIVEN} if seen else {})
@@ -720,6 +723,7 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
     origins |= {f"max_range.{s.sensor.label}": Origin.INFERRED for s in seen if isinstance(s.sensor, RelativePoint)}
     if wanted.prior_sigma is not None or true is not None:
         origins["prior"] = Origin.ASSUMED if wanted.prior_sigma is None else Origin.GIVEN
+    origins |= {"prior": Origin.INFERRED} if start is not None else {}
     roles = {t.name: t.role.value for t in topics if t.role not in (Role.NOTHING, Role.TRANSFORMS, Role.CAMERA)}
     source: dict[str, object] = {"kind": "bag", **source_file(path), "topics": roles, "clock": first}
     if datum is not None:
@@ -848,7 +852,7 @@ def _fixed(topics: Sequence[Topic], found: Collected, wanted: Wanted, robot: str
             origin = place[0] if origin is None else origin
             P = np.zeros((len(rows), 3, 3))
             P[:, :2, :2] = _filled(C, t, wanted)
-            z = np.column_stack([east_north(place, origin), np.zeros(len(rows))])
+            z = east_north_up(place, origin) * [1.0, 1.0, 0.0]
             x, y = (0.0, 0.0) if mounted is None else mounted[1][0, :2].tolist()
             made.append(_Fixed(FixSource(_named(t.name), (x, y)), FixKind.POSITION, at, z, P))
         else:

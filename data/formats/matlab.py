@@ -271,10 +271,7 @@ def _of_scipy(value: Any) -> Any:
         cells = [_of_scipy(item) for item in value.ravel(order="F")]
         if cells and all(isinstance(cell, dict) for cell in cells):
             return cells
-        inside = np.empty(len(cells), object)
-        for k, cell in enumerate(cells):
-            inside[k] = cell
-        return inside
+        return np.fromiter(cells, object, len(cells))
     if not isinstance(value, np.ndarray) or not value.dtype.names:
         return value
     found = [{name: _of_scipy(item[name]) for name in value.dtype.names} for item in value.ravel(order="F")]

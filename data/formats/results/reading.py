@@ -44,10 +44,8 @@ SIDES = TRUE | {"est", "estimate", "estimated", "hat", "ekf", "ukf", "kf", "pf",
 """Of these, those that may stand behind a name."""
 NANOSECONDS = frozenset(("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds"))  # Beside seconds, or alone
 GNSS = frozenset(("gps", "gnss", "rtk", "ins", "fix", "geo", "ref"))  # May stand around latitude, longitude, height
-EARTH = {
-    "lat": "lat", "latitude": "lat", "lon": "lon", "lng": "lon", "longitude": "lon",
-    **dict.fromkeys(("alt", "altitude", "height", "elevation"), "alt"),
-}  # fmt: skip
+EARTH = dict.fromkeys(("lat", "latitude"), "lat") | dict.fromkeys(("lon", "lng", "longitude"), "lon")
+EARTH |= dict.fromkeys(("alt", "altitude", "height", "elevation"), "alt")
 ANGLES = {"roll": "roll", "pitch": "pitch", **dict.fromkeys(YAW, "yaw")}
 TURNS = {"rad": 1.0, "deg": np.pi / 180.0}
 ALIAS = (
@@ -135,10 +133,9 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
     if len(several := topics_in(names)) > 1 and "x" in place and (topic := topic_of(names[place["x"]])):
         read = _roles(names, topic)
     found: dict[str, list[int]] = {}
-    if earth <= (there := {role for role, _ in read} | {*place}) and (earth <= {*place} or not {"x", "y"} <= there):
-        read = [("", "") if role in tuple("xyz") else (role, unit) for role, unit in read]
-    else:
-        read = [("", "") if role in EARTH else (role, unit) for role, unit in read]
+    there = {role for role, _ in read} | {*place}
+    earthly = earth <= there and (earth <= {*place} or not {"x", "y"} <= there)
+    read = [("", "") if role in (("x", "y", "z") if earthly else EARTH) else (role, unit) for role, unit in read]
     for j, (role, _) in enumerate(read):
         if role and role not in place and j not in place.values():
             found.setdefault(role, []).append(j)
@@ -282,7 +279,8 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
                 raise DataError.at(text.path, what, line=columns.line)
             value[role] = value[role] * known[unit]
     if "nanoseconds" in value:
-        value["t"] = value["t"] + 1e-9 * value["nanoseconds"]
+        whole = bool((value["t"] % 1.0 == 0.0).all())  # else they are those of another clock
+        value["t"] = value["t"] + 1e-9 * whole * value["nanoseconds"]
     unread = [*columns.unread[:SHOWN], *(["..."] if len(columns.unread) > SHOWN else [])]
     notes: tuple[str, ...] = (f"columns not read: {', '.join(unread)}",) if unread and not ours else ()
     if short := sum(len(fields) < columns.named for fields in body.fields):

@@ -30,7 +30,7 @@ from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Obse
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
 from data.origin import Origin, Origins
-from data.pose_measurements import Closures, Fixes, FixKind, FixSource
+from data.pose_measurements import FAR, LOOSE, Closures, Fixes, FixKind, FixSource, onto_fixes
 from data.se2 import Array, BoolArray
 from data.sensors import RangeBearing, Sensor
 from data.terminal import counted
@@ -565,10 +565,6 @@ def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) ->
     return result
 
 
-CLEAR = 15.0  # Reach of fixes (root of the sum of their distances²) over their sigma that tells the heading to 4 deg
-FAR, LOOSE = 1.0, math.radians(10.0)  # m, way from the start that tells its heading; rad, least deviation of that
-
-
 def _ahead(pose: Array, moved: Array) -> float | None:
     """Heading at the start that takes the odometry's increments (N, 3) to the true places (N, 3); None: no way."""
     path = se2.dead_reckoned(np.zeros(3), moved)
@@ -578,26 +574,6 @@ def _ahead(pose: Array, moved: Array) -> float | None:
         return None
     turned = np.arctan2(way[far[0], 1], way[far[0], 0]) - np.arctan2(path[far[0], 1], path[far[0], 0])
     return float(se2.wrap_angle(turned))
-
-
-def _onto_fixes(fixes: Fixes, moved: Increments) -> tuple[Array, Array] | None:
-    """The first pose that takes the odometry to the first fixes, which tell its heading, and its sigma (3,)."""
-    rows = np.flatnonzero(fixes.kind != FixKind.HEADING)
-    if not len(rows):
-        return None
-    path = se2.dead_reckoned(np.zeros(3), moved.mean)
-    way = np.append(0.0, np.hypot(*np.diff(path[:, :2], axis=0).T).cumsum())[fixes.frame[rows]]
-    path = path[fixes.frame[rows], :2]
-    sigma = math.sqrt(float(np.median(fixes.covariance[rows, 0, 0])))
-    new = np.diff(way // max(FAR, sigma), prepend=-1.0) > 0.0  # errors at one place are alike: they count once
-    count = np.maximum(np.cumsum(new), 1)
-    spread = np.cumsum(new[:, None] * path**2, axis=0) - np.cumsum(new[:, None] * path, axis=0) ** 2 / count[:, None]
-    far = np.flatnonzero((spread.sum(axis=1) > (CLEAR * sigma) ** 2) & (np.hypot(*(path - path[0]).T) > FAR))
-    if not len(far):
-        return None
-    drift = float(moved.covariance[: fixes.frame[rows[far[0]]] + 1, 2, 2].sum())
-    deviation = np.array([sigma, sigma, math.sqrt(LOOSE**2 + drift / 3.0)])  # a third of it is in the mean of the way
-    return se2.rigid_fit(path[: far[0] + 1], fixes.z[rows[: far[0] + 1], :2]), deviation
 
 
 def _agree(fixes: Fixes, moved: Increments, start: Array) -> bool:
@@ -616,7 +592,7 @@ def _counter_clockwise(fixes: Fixes, moved: Increments, wanted: Wanted) -> Fixes
     turned = se2.dead_reckoned(np.zeros(3), moved.mean)[fixes.frame[rows], 2]
     mean = {unit: complex(np.exp(1j * (turned - unit * fixes.z[rows, 2])).mean()) for unit in (1.0, *TURNED)}
     fit = [unit for unit in TURNED if abs(mean[unit]) > CONCENTRATED]
-    start = None if abs(mean[1.0]) > ODD or len(fit) != 1 else _onto_fixes(fixes, moved)
+    start = None if abs(mean[1.0]) > ODD or len(fit) != 1 else onto_fixes(fixes, moved.mean, moved.covariance)
     if start is None:
         return fixes
     quarters = float(np.angle(mean[fit[0]]) + start[0][2]) / (0.5 * np.pi)
@@ -640,19 +616,11 @@ def _prior(
 ) -> Prior:
     """Belief about the first pose."""
     free = wanted.prior is None and pose is None and known is None
-    if (
-        free
-        and fixes is not None
-        and (found := _onto_fixes(fixes, moved)) is not None
-        and _agree(fixes, moved, found[0])
-    ):
-        start, around = found
+    start = onto_fixes(fixes, moved.mean, moved.covariance) if free and fixes is not None else None
+    if start is not None and fixes is not None and _agree(fixes, moved, start.pose):
         wanted.columns.origins["prior"] = Origin.INFERRED
-        (x, y, turn), (sx, sy, st) = start.tolist(), around.tolist()
-        text = f"--prior={x:.4g},{y:.4g},{math.degrees(turn):.3g}deg --prior-sigma {sx:.3g},{sy:.3g},"
-        text += f"{math.degrees(st):.3g}deg"
-        wanted.columns.notes.append(f"inferred: {text}, which takes odometry to the fixes")
-        return Prior(start, np.diag(around**2))
+        wanted.columns.notes.append(start.text)
+        return Prior(start.pose, np.diag(start.sigma**2))
     if wanted.prior is None:
         if pose is not None or known is not None or fixes is not None:
             frame = "truth" if pose is not None else "fixes" if known is None else "map"

@@ -241,6 +241,18 @@ def test_one_line_says_what_is_wrong(maker, convert, tmp_path, add, words, said)
     assert re.search(said.replace("(", r"\("), found)
 
 
+def test_satellites_tell_the_heading_at_the_start(maker, tmp_path, capsys):
+    """At the equator, of an antenna 0.3 m ahead; the world's origin is its first place."""
+    maker.mounting("base_link", "antenna", 0.3, 0.0, 0.0)
+    pose = se2.compose(np.array([0.0, 0.0, 2.0]), np.column_stack([TIMES, 0.0 * TIMES, 0.1 * TIMES]))
+    for t, (x, y, _) in zip(TIMES, se2.compose(pose, np.array([0.3, 0.0, 0.0])), strict=True):
+        maker.satellites(t, np.degrees([y / 6335449.0, x / 6378147.0]), 1e-4)
+    log = load(maker, tmp_path)
+    assert log.recorded.prior.mean == pytest.approx([-0.3 * math.cos(2.0), -0.3 * math.sin(2.0), 2.0], abs=1e-4)
+    assert log.origins["prior"] == "inferred"
+    assert "inferred: --prior=0.1248,-0.2728,115deg" in capsys.readouterr().out
+
+
 def test_a_bag_of_ros_1_is_read_as_one_of_ros_2(tmp_path):
     made = Full("ros1")
     made.drive(TIMES)
