@@ -279,7 +279,8 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
                 raise DataError.at(text.path, what, line=columns.line)
             value[role] = value[role] * known[unit]
     if "nanoseconds" in value:
-        value["t"] = value["t"] + 1e-9 * value["nanoseconds"]
+        whole = bool((value["t"] % 1.0 == 0.0).all())  # else they are those of another clock
+        value["t"] = value["t"] + 1e-9 * whole * value["nanoseconds"]
     unread = [*columns.unread[:SHOWN], *(["..."] if len(columns.unread) > SHOWN else [])]
     notes: tuple[str, ...] = (f"columns not read: {', '.join(unread)}",) if unread and not ours else ()
     if short := sum(len(fields) < columns.named for fields in body.fields):

@@ -44,10 +44,8 @@ def stem_of(name: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class TextTable:
-    """Rows of stripped fields without quotes, of equal length, and the line (K,) of each in the file.
-
-    `names`: of the columns; "1", "2", ... without a header. `named`: whether the file has one. `decimal_comma`: numbers
-    are written 1,5.
+    """Rows of stripped fields without quotes, of equal length, and the line (K,) of each; `names` of the columns:
+    "1", "2", ... without a header (`named`); `decimal_comma`: numbers are written 1,5.
     """
 
     path: Path
@@ -213,9 +211,7 @@ def read_text(path: Path) -> TextTable:
 
 
 def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
-    """One table of several files: of a folder one below the other, with the number of the file as `frame`; else side by
-    side, with columns named as the file (NAME1, NAME2, ... of several). DataError for unequal columns or rows.
-    """
+    """One table of files: a folder's one below the other, numbered as `frame`, else side by side."""
     tables = [read_text(part) for part in parts]
     first, below = tables[0], path.is_dir()
     if len({len(t.names) if below else len(t) for t in tables}) > 1:
@@ -620,9 +616,7 @@ class Columns:
 
 
 def unmeasured(values: Array) -> tuple[int, int, bool] | None:
-    """First row and number of rows of a value that stands for none, and whether it is far beyond all others, as -999;
-    else it is far more frequent than any other.
-    """
+    """First row and number of rows of a value that stands for none, and whether by size, as -999; else by frequency."""
     found, first, count = np.unique(values[np.isfinite(values)], return_index=True, return_counts=True)
     if len(found) < LEVELS:  # speeds that were commanded
         return None

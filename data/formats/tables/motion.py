@@ -96,9 +96,7 @@ class Odometry:
         return replace(self, time=np.append(begin, time), motion=np.concatenate([first, motion]))
 
     def increments(self, at: Array, noise: Noises, model: str = "unicycle") -> tuple[Increments, int]:
-        """Motion between the instants `at` (N,), and the number of gaps (velocities) or floored covariances (poses).
-        Velocities are preintegrated by a motion `model` (zero-order hold); poses are interpolated, then differenced.
-        """
+        """Motion between instants `at` (N,), and the number of gaps (velocities) or floored covariances (poses)."""
         if isinstance(noise, VelocityNoise):
             return preintegrate(VelocityModel(noise, model), self.time, self.motion[:, 0], self.motion[:, 1], at)
         if isinstance(noise, StepNoise):
@@ -110,9 +108,7 @@ class Odometry:
 
 
 def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | None = None) -> str:
-    """The only kind of odometry whose columns a file has, poses that a truth takes aside; of columns named v, omega and
-    poses velocities, which is noted. DataError for none or several.
-    """
+    """The only kind of odometry whose columns a file has, v and omega before poses; DataError for none or several."""
     pose = {"poses": pose_columns(file, columns, role), "steps": ("dx", "dtheta")}
     found = [k for k, qs in KINDS.items() if columns.has(file, role, pose.get(k, qs))]
     stated = [k for k in found if columns.stated(role, KINDS[k])]
@@ -292,9 +288,7 @@ def read_second(file: TextTable, second: Second, columns: Columns, first: Odomet
 def second_closures(
     file: TextTable, odometry: Odometry, second: Second, time: Array, taken: Collection[str], notes: list[str]
 ) -> Closures:
-    """Closures between successive frames at `time` (N,) that it covers; `taken`: names of other sources. Velocities
-    with a gap of more than `MAX_HOLD` between two frames tell nothing of these; poses do.
-    """
+    """Closures between successive frames at `time` (N,), of velocities without gaps; `taken`: other names."""
     stem = file.path.stem
     name = own_name(stem if is_name(stem) else SECOND, taken)
     frames = np.flatnonzero(covered(odometry.time, time))

@@ -20,6 +20,10 @@ HALF = 0.25  # s either side of an instant for its rates, or one and a half step
 MOST = 2**16  # largest number of instants of a path
 TOGETHER = 0.5  # least share of the shorter path in common with the other
 APART = 9.0  # least difference of -2 log-likelihood from any other maximum: 3 standard errors
+WIDE, RATE = (
+    0.04,
+    0.01,
+)  # Most seconds, as a share of the path, that halves differ from the whole; least difference of rates
 EXACT = 1e-8  # least mean squared residual, as a share of the truth's mean square
 
 
@@ -71,14 +75,17 @@ def time_offset(file: str, time: Array, pose: Array, truth_time: Array, truth: A
         raise DataError.at(file, "--time-offset auto: gaps leave too little in common with the truth; state the offset")
     shift = grids[1][0] - grids[0][0]
 
-    def value(offset: float) -> float:
+    def value(offset: float, part: BoolArray) -> float:
         at, known = b.rates(grids[0] + offset, half)
-        both = known & known_a
+        both = known & known_a & part
         return float(np.log(np.mean((of_a[both] - at[both]) ** 2, axis=0) + floor).sum()) if both.any() else math.inf
 
     start = float(shift + lags[best] * dt)
     found = scipy.optimize.minimize_scalar(
-        lambda more: value(start + more), bounds=(-2.0 * dt, 2.0 * dt), method="bounded", options={"xatol": 1e-5 * dt}
+        lambda more: value(start + more, known_a),
+        bounds=(-2.0 * dt, 2.0 * dt),
+        method="bounded",
+        options={"xatol": 1e-5 * dt},
     )
     seconds, least = start + float(found.x), float(found.fun)
     (here, known), (later, soon), (sooner, just) = (b.rates(grids[0] + seconds + d, half) for d in (0.0, dt, -dt))
@@ -95,6 +102,14 @@ def time_offset(file: str, time: Array, pose: Array, truth_time: Array, truth: A
         why = "the motion is steady" if math.isinf(rival) or error > half else "another fits about as well: laps?"
         what = f"--time-offset auto: no offset stands out ({why})"
         raise DataError.at(file, f"{what}; state it, as in --time-offset {seconds:.6g}")
+    span, middle = float(np.ptp(grids[0][both])), float(np.median(grids[0][both]))
+    parts, wide = (grids[0] < middle, grids[0] >= middle), np.linspace(-WIDE, WIDE, 81) * span
+    each = [np.array([value(seconds + w, part) for w in wide]) for part in parts]
+    first, last = (float(wide[np.argmin(costs)]) for costs in each)
+    gain = sum(0.5 * samples * float(costs[len(wide) // 2] - costs.min()) for costs in each)
+    if abs(rate := 2.0 * (last - first) / span) > RATE and gain > APART:
+        what = f"--time-offset auto: the clocks run at different rates, by {100.0 * rate:.2g} %"
+        raise DataError.at(file, f"{what}; stamps of one clock are needed")
     return seconds, error
 
 

@@ -89,6 +89,15 @@ def test_columns_of_ours_come_in_any_order_and_a_pose_may_be_blank(tmp_path):
     assert np.isnan(path.pose[1]).all()
 
 
+def test_nanoseconds_belong_to_whole_seconds(tmp_path):
+    for seconds, read in (((3, 4, 5), [3.5, 4.25, 5.75]), ((3.1, 4.2, 5.3), [3.1, 4.2, 5.3])):
+        rows = "".join(
+            f"{t},{n},{t},0,0\n" for t, n in zip(seconds, (500_000_000, 250_000_000, 750_000_000), strict=True)
+        )
+        (tmp_path / "a.csv").write_text(f"time,header.stamp.nsecs,x,y,theta\n{rows}")
+        assert read_path(str(tmp_path / "a.csv")).time.tolist() == pytest.approx(read)
+
+
 def test_of_poses_with_one_stamp_the_last_counts(tmp_path):
     (tmp_path / "a").write_text("t,x,y,theta\n0,1,0,0\n0,2,0,0\n1,3,0,0\n")
     path = read_path(str(tmp_path / "a"))

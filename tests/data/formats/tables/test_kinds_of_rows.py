@@ -256,3 +256,21 @@ def test_rows_that_end_before_the_header_are_blank_there(read, unread):
     assert "o.csv: 6 of 9 rows end before the header does: their last columns are blank" in said
     one = [row if k == 4 else row.removesuffix(",7,8") + ",7,8" for k, row in enumerate(rows)]
     assert "5 fields where 7 are needed" in unread({"o.csv": "\n".join(["t,v,omega,range,bearing,mode,more", *one])})
+
+
+def test_lines_of_keys_are_rows_by_their_order(convert, read):
+    """Observations are of the odometry above them; one more key begins a row, the first key a block."""
+    lines = [f"odom: {0.5 * k} 0 0\n" + "".join(f"seen: {9 - k} {j}\n" for j in range(k % 3)) for k in range(9)]
+    columns = "odometry.x=1,odometry.y=2,odometry.theta=3,observations.x=1,observations.y=2"
+    words = ("--observations", "in.txt:seen", "--columns", columns)
+    for name in ("in.txt:odom", "in.txt:odom:"):
+        log, said = convert({"in.txt": "".join(lines)}, "table", name, "out", *words)
+        seen = log.recorded.observations
+        assert (len(log.recorded), seen.frame[:4].tolist()) == (9, [1, 2, 2, 4])
+        assert seen.z[:3] == pytest.approx(np.array([[8.0, 0.0], [7.0, 0.0], [7.0, 1.0]]))
+        assert "inferred: frame, of the row of odometry above" in said
+    one = "id:{}\nx:{}\ny:0.5\n"
+    blocks = [f"obs:{k}\ntime:{k}\n{one.format(4, 9 - k)}{one.format(7, 5)}\n" for k in range(6)]
+    log, _ = read({"o.csv": WHEELS, "s.txt": "".join(blocks)}, "--observations", "s.txt", "--columns", "label=id")
+    assert log.label.tolist() == [4, 7] * 6
+    assert log.recorded.observations.z[::2, 0] == pytest.approx(9.0 - np.arange(6))

@@ -238,6 +238,12 @@ def test_too_short_a_path_is_refused():
         time_offset("mine", time[:4], pose[:4], true, truth)
 
 
+def test_clocks_of_different_rates_are_named():
+    time, pose, true, truth = pair(0.0, noise=0.002)
+    with pytest.raises(DataError, match=r"different rates, by -?3"):
+        time_offset("mine", 1.035 * time + 7.0, pose, true, truth)
+
+
 @pytest.fixture
 def files(tmp_path):
     time, pose, true, truth = pair(2.0)
