@@ -274,3 +274,21 @@ def test_lines_of_keys_are_rows_by_their_order(convert, read):
     log, _ = read({"o.csv": WHEELS, "s.txt": "".join(blocks)}, "--observations", "s.txt", "--columns", "label=id")
     assert log.label.tolist() == [4, 7] * 6
     assert log.recorded.observations.z[::2, 0] == pytest.approx(9.0 - np.arange(6))
+
+
+def test_rows_of_any_number_of_observations_are_rows_of_one(read, unread):
+    """The landmarks stand still along the way, which tells what the three numbers are."""
+    rows, places = [], np.array([[3.0, 4.0], [8.0, -2.0], [1.0, 6.0]])
+    for k in range(60):
+        turn = 0.03 * k  # on a circle
+        off = (places - [np.sin(turn) / 0.3, (1.0 - np.cos(turn)) / 0.3])[: k % 4]
+        far, to = np.hypot(*off.T), np.arctan2(off[:, 1], off[:, 0]) - turn
+        rows.append(" ".join([f"{0.1 * k:.1f}", *(f"{j} {r:.6f} {b:.6f}" for j, (r, b) in enumerate(zip(far, to)))]))
+    files = {"o.csv": WHEELS.replace(",1,0", ",1,0.3"), "s.txt": "\n".join(rows) + "\n"}
+    log, said = read(files, "--observations", "s.txt")
+    o = log.recorded.observations
+    assert (len(o.z), log.label[:4].tolist()) == (90, [0, 0, 1, 0])
+    assert o.z[0] == pytest.approx([np.hypot(2.9, 4.0), np.arctan2(4.0, 2.9) - 0.03], abs=2e-3)
+    assert "inferred: a row is a stamp and any number of observations of 3 numbers each" in said
+    files["s.txt"] = files["s.txt"].replace(rows[5], rows[5] + " 7")
+    assert "a row for each is needed" in unread(files, "--observations", "s.txt")
