@@ -1,7 +1,4 @@
-"""A sound log of a simulated robot as tables of another program, and the same with one named mistake.
-
-`log_of` converts the tables; `scored` writes an estimate and its truth for `slamref score`.
-"""
+"""A sound log of a simulated robot as tables of another program, and the same with one named mistake."""
 
 import contextlib
 import io

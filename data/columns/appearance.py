@@ -1,8 +1,4 @@
-"""Appearance in an open log folder, format 2: descriptors and classes of observations and landmarks.
-
-docs/notes/appearance.md lists the columns. A class is read wrongly with probability class_error, above 0 and below 0.5,
-as each other class of the log alike.
-"""
+"""Appearance in an open log folder, format 2: descriptors and classes of observations and landmarks."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,8 +1,4 @@
-"""Measured poses of an open log folder: `fixes.csv`, absolute; `closures.csv`, of frame2 in the frame of frame1.
-
-docs/notes/several-sensors.md has their columns and the tables [[fix]] and [[closure]]. The covariance of a closure is
-that of its additive error in the frame of frame1.
-"""
+"""Measured poses of an open log folder, absolute and of frame2 in frame1's (docs/notes/several-sensors.md)."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple

@@ -1,10 +1,4 @@
-"""`scans.npz` of an open log folder: the range scans of a laser log, taken by the [scanner] of `log.toml`.
-
-    frame   (S,) whole numbers      frame of each scan, strictly ascending
-    ranges  (S, B) numbers [m]      of each beam; 0, NaN, or max_range and more: no return
-
-Stored and deflated files are read in little memory.
-"""
+"""`scans.npz` of an open log folder (docs/log-folder.md): the range scans of a laser log, read in little memory."""
 
 import io
 import math

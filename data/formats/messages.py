@@ -19,6 +19,8 @@ def numbered_rows(text: str) -> list[tuple[int, str]]:
     """
     lines = list(enumerate(text.splitlines(), 1))
     first = next((line for _, line in lines if line.strip() not in ("", "---")), "")
+    if re.fullmatch(r"\s*[A-Za-z_]\w*:\s*\S+\s*", first) and (blocks := _blocks(lines)):
+        return blocks
     if not re.fullmatch(r"[A-Za-z_]\w*:\s*", first) or not any(line.rstrip() == "---" for _, line in lines):
         return lines
     messages: list[tuple[int, dict[str, str]]] = [(0, {})]
@@ -47,6 +49,24 @@ def numbered_rows(text: str) -> list[tuple[int, str]]:
     return [(1, ",".join(names)), *whole]
 
 
+def _blocks(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
+    """A header and rows of lines `key: number` each, in blocks that begin with the first key; none of other lines. A
+    key that comes again begins a row with the same values of the keys before it.
+    """
+    pairs = [(i, *line.replace(" ", "").partition(":")[::2]) for i, line in lines if line.strip()]
+    names = list(dict.fromkeys(key for _, key, _ in pairs))
+    if len(pairs) < 2 * len(names) or not all(key.isidentifier() and is_number(value) for _, key, value in pairs):
+        return []
+    rows: list[tuple[int, dict[str, str]]] = []
+    for number, key, value in pairs:
+        same = dict(rows[-1][1]) if rows else {}
+        if not rows or key in same:
+            before = {} if key == names[0] else dict(list(same.items())[: list(same).index(key)])
+            rows.append((number, before))
+        rows[-1][1][key] = value
+    return [(1, ",".join(names)), *((number, ",".join(row.get(n, "") for n in names)) for number, row in rows)]
+
+
 def _stamped(fields: dict[str, str]) -> dict[str, str]:
     out: dict[str, str] = {}
     for name, value in fields.items():
@@ -60,7 +80,7 @@ def _stamped(fields: dict[str, str]) -> dict[str, str]:
 
 def file_and_word(path: Path) -> tuple[Path, str]:
     """The file of FILE:WORD, and the word that its rows hold; empty: all rows."""
-    name, colon, word = str(path).rpartition(":")
+    name, colon, word = str(path).rstrip(":").rpartition(":")
     return (Path(name), word) if colon and not path.exists() and Path(name).is_file() else (path, "")
 
 
@@ -75,8 +95,11 @@ def parts_of(path: Path) -> list[Path]:
 
 def with_word(lines: list[tuple[int, str]], word: str) -> list[tuple[int, str]]:
     """The numbered lines with a field `word`, or by COLUMN=WORD with that word in that column; of a table with topics
-    as columns those of a topic; "": all.
+    as columns those of a topic; of lines that begin with `word:` what is behind it; "": all.
     """
+    keyed = [(i, line.strip()) for i, line in lines if word and line.strip().startswith(f"{word}:")]
+    if keyed:
+        return [(i, line[len(word) + 1 :]) for i, line in keyed]
     if word and (below := _of_topic(lines, word.strip("/"))):
         return below
     fields = [re.split(r"\s*[,;\t]\s*|\s+", line.strip()) for _, line in lines] if "=" in word else []
@@ -118,7 +141,7 @@ def kinds_of(path: Path, rows: Sequence[Sequence[str]]) -> str:
         whole = sum(kinds[kind] for kind in some) >= len(rows) - 1  # but for a header
         if whole and not any(map(is_number, some)) and 1 < len(some) < len(rows) / 2:
             listed = ", ".join(f"{kind} ({kinds[kind]})" for kind in some)
-            return f"; rows hold {listed[:200]}: name those of one kind, as in {path}:{some[0]}"
+            return f"; rows hold {listed[:200]}: name those of one kind, as in {path}:{some[0].rstrip(':')}"
     return ""
 
 

@@ -1,8 +1,4 @@
-"""Open log folder, formats 1 and 2: a reader with strict checks, and a writer whose numbers load again bit for bit.
-
-docs/log-folder.md lists its files. observations.csv and [sensor] may be missing where there are scans, fixes or
-closures. relations.csv: relations for scoring without a true path; exact: 1 where both rows are certain, else 0.
-"""
+"""Open log folder (docs/log-folder.md): strict checks, and a writer whose numbers load again bit for bit."""
 
 import os
 from collections.abc import Mapping, Sequence

@@ -1,8 +1,4 @@
-"""Diagnostics of completed runs, as one list of notices; truth is used for the true ids of landmarks alone.
-
-Unused observations, too many landmarks, ambiguous landmarks, two minima of one least-squares problem, landmarks with
-the true id of a neighbour, and the first misfit of an implausible run.
-"""
+"""Diagnostics of completed runs, as one list of notices; truth is used for the true ids of landmarks alone."""
 
 import json
 import math

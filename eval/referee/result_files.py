@@ -1,8 +1,4 @@
-"""Files of the result folder: columns with unit and meaning, and how rows become a table and a CSV file.
-
-Kinds of columns and files come first, then the files of one run and one log (`runs/<log>/`), the report's files, and
-the CSV files at the top.
-"""
+"""Files of the result folder: columns with unit and meaning, and how rows become a table and a CSV file."""
 
 import math
 from collections.abc import Mapping, Sequence

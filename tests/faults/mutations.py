@@ -1,7 +1,4 @@
-"""Faults for files: structure-aware where the structure is known (tables, TOML, zip, npy, MAT), bytes everywhere.
-
-A fault takes content and a generator and gives content; the same generator, the same faults.
-"""
+"""Faults for files: structure-aware where the structure is known (tables, TOML, zip, npy, MAT), bytes everywhere."""
 
 import io
 import lzma

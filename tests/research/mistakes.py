@@ -1,7 +1,4 @@
-"""`python -m tests.research mistakes`: from which stated noise on each mistake in a log becomes silent, world by world.
-
-The mistakes are changes of what witnesses compare, so that every format has them.
-"""
+"""`python -m tests.research mistakes`: from which stated noise on each mistake in a log becomes silent, by world."""
 
 import contextlib
 import io

@@ -1,8 +1,4 @@
-"""A submission runs in a child process, with limits of time and memory. This is no security boundary.
-
-The parent reads what the child writes line by line; a part that takes too long, or ends the process, gets nothing, and
-a new child goes on with the next one.
-"""
+"""A submission runs in a child process, with limits of time and memory. This is no security boundary."""
 
 import json
 import math

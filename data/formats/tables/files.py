@@ -6,6 +6,7 @@ read in SI units (`--unit angle=deg,time=ns,v=km/h`).
 """
 
 import csv
+import itertools
 import math
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -131,7 +132,7 @@ def _separator(lines: Sequence[str]) -> str:
             apart = _split(lines[1:] or lines, " ") if separator == "\t" else []
             mixed = len({len(row) for row in apart}) == 1 and all(map(_is_row, apart))
             return " " if mixed and any(" " in line for line in lines[1:] or lines) else separator
-    held = [s for s in SEPARATORS if all(s in line for line in lines)]
+    held = [s for s in SEPARATORS if 2 * sum(s in line for line in lines) > len(lines)]
     return held[0] if held else ","
 
 
@@ -185,6 +186,12 @@ def read_text(path: Path) -> TextTable:
         names = names[:-1] if names and not names[-1] else names
     if cut := cut_end(rows, int(number[-1])):
         rows, number = rows[:-1], number[:-1]
+    if each := _each(rows) if names is None else 0:
+        number = np.repeat(number, [len(row) // each for row in rows])
+        rows = [(row[0], *row[k : k + each]) for row in rows for k in range(1, len(row), each)]
+        cut = (
+            f"{cut}; " * bool(cut) + f"inferred: a row is a stamp and any number of observations of {each} numbers each"
+        )
     width = len(rows[0]) if names is None else len(names)
     early = ends_early(map(len, rows), width, 1) if names is not None and separator != " " else set()
     if early:
@@ -208,6 +215,16 @@ def read_text(path: Path) -> TextTable:
         if last in ("secs", "sec") and j is not None and all(r[j].isdecimal() for r in rows):
             rows, shown[k] = [(*r[:k], f"{r[k]}.{int(r[j]):09d}", *r[k + 1 :]) for r in rows], stem
     return TextTable(path, tuple(shown), tuple(rows), number, names is not None, comma, cut)
+
+
+def _each(rows: Sequence[Sequence[str]]) -> int:
+    """How many numbers each of several observations has, in rows of at least three lengths behind ascending stamps; 0:
+    none, or not known.
+    """
+    count = math.gcd(*(len(row) - 1 for row in rows))
+    if count not in (2, 3) or len(set(map(len, rows))) < SLOTS or not all(map(is_number, itertools.chain(*rows))):
+        return 0
+    return count if all(float(a[0]) <= float(b[0]) for a, b in itertools.pairwise(rows)) else 0
 
 
 def _joined(path: Path, parts: Sequence[Path]) -> TextTable:

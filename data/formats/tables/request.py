@@ -9,7 +9,7 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from data import se2
 from data.columns.appearance import Noise
 from data.csv_table import is_name
 from data.errors import DataError, UsageError, did_you_mean, unknown
+from data.formats.messages import file_and_word
 from data.formats.recordings.laser import TravelNoise
 from data.formats.tables import files as table_files
 from data.formats.tables.files import (
@@ -335,6 +336,15 @@ def settle(given: Given) -> Wanted:
     read = {path: table_files.read_text(path) for path in dict.fromkeys(files.values())}
     texts = {role: read[path] for role, path in files.items()}
     columns.notes += [f"{path.name}: {table.cut}" for path, table in read.items() if table.cut]
+    source = file_and_word(files["odometry"])
+    for role in (r for r in (OBSERVATIONS, *several) if r in texts and source[1] and texts[r] is not texts["odometry"]):
+        table, named_before = texts[role], any(columns.find(texts[role], role, q) is not None for q in ("t", "frame"))
+        if file_and_word(files[role])[0] == source[0] and not named_before:
+            number = np.searchsorted(texts["odometry"].line, table.line) - 1
+            rows = tuple((*row, str(max(k, 0))) for row, k in zip(table.rows, number.tolist(), strict=True))
+            texts[role] = replace(table, names=(*table.names, "frame"), rows=rows)
+            columns.given = {**columns.given, f"{role}.frame": "frame"}
+            columns.notes.append(f"{files[role].name}: inferred: frame, of the row of odometry above each in the file")
     unnamed = [r for r in texts if not {k.rpartition(".")[0] for k in named} & {"", r}]
     for role in ("odometry", "truth", "map"):
         if role in unnamed and (layout := by_layout(texts[role], role)) is not None:

@@ -1,8 +1,4 @@
-"""The flags of `slamref run`, one field each, in parts by their readers.
-
-Parser, config files, checks, the command in the report, step mode and player read this table. It imports no numerical
-library, so that `--help` answers at once.
-"""
+"""The flags of `slamref run`, one field each, in parts by their readers. It imports no numerical library."""
 
 import argparse
 import math

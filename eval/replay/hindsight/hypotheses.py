@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy import special
 
 from association.appearance import Looks
 from association.expectation import gate_threshold
@@ -24,7 +25,7 @@ from data.motion.systematic import sensor_frame
 from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated, not_used
 from data.result import DISCARD, PoseEstimate
 from data.se2 import Array, BoolArray
-from data.sensors import RANGE_BEARING, Sensor
+from data.sensors import MIN_RANGE, RANGE_BEARING, Sensor
 from ekf import kernels, updates
 from ekf.filter import DEFAULT, FilterDivergedError, FilterOptions
 from ekf.pose_updates import Clones, MeasurementModel, absorb, of_closures, of_fixes
@@ -39,7 +40,8 @@ ALIKE = 5.0  # ... if their variances agree within this factor
 STRAY = 0.01  # expected number of clutter observations in the view of a frame
 BINS = 10  # distances up to the sensor's reach, for each of which the detection probability is learned, ...
 FIRST = (1.0, 10.0)  # ... starting at this many detections of this many opportunities
-DEPENDENCE = 0.2  # weight of a miss against an independent one: occlusions last for many frames
+DEPENDENCE = 0.5  # weight of a miss against an independent one: occlusions last for many frames
+LIMITS = (0.02, 0.05)  # sigmas of the view's limits: of the range in parts of the reach, and of the bearing in rad
 SIGMAS = 2.0  # a landmark is well in view if this many standard deviations are inside the limits, ...
 MARGIN = 0.1  # rad, ... and this angle
 
@@ -87,10 +89,10 @@ class DetectionRates:
         self._seen, self._expected = np.full(BINS, FIRST[0]), np.full(BINS, FIRST[1])
 
     @property
-    def log_miss(self) -> Array:
-        """Logarithm (BINS,) of the probability of a missed detection."""
-        log_miss: Array = np.log1p(-self._seen / self._expected)
-        return log_miss
+    def rates(self) -> Array:
+        """Detection probabilities (BINS,)."""
+        rates: Array = self._seen / self._expected
+        return rates
 
     def within(self, z_hat: Array, HPHt: Array, reach: float) -> tuple[IntArray, IntArray]:
         """Landmarks (k,) of expected measurements (n, 2) and covariances (n, 2, 2) that are well in view, and the bin
@@ -102,6 +104,23 @@ class DetectionRates:
         distance = self.sensor.polar(z_hat[inside])[:, 0]
         return inside, np.minimum((distance / reach * BINS).astype(np.int64), BINS - 1)
 
+    def in_view(self, z_hat: Array, HPHt: Array, reach: float) -> tuple[Array, IntArray]:
+        """Probability (n,) that landmarks of expected measurements (n, 2) and covariances (n, 2, 2) are in view, as if
+        range and bearing were independent, and the bin of each; `reach` [m]: as far as can be seen.
+        """
+        sensor, (r, bearing) = self.sensor, self.sensor.polar(z_hat).T
+        along, across = np.sqrt(HPHt[:, [0, 1], [0, 1]]).T
+        if sensor.kind != RANGE_BEARING:
+            along = np.maximum(along, across)
+            across = along / np.maximum(r, MIN_RANGE)
+        seen = special.ndtr((sensor.max_range - r) / np.maximum(along, LIMITS[0] * reach))
+        half = 0.5 * (sensor.max_angle - sensor.min_angle)
+        if half < math.pi:
+            off = np.abs(se2.wrap_angle(bearing - 0.5 * (sensor.min_angle + sensor.max_angle)))
+            across = np.maximum(across, LIMITS[1])
+            seen *= special.ndtr((half - off) / across) - special.ndtr((-half - off) / across)
+        return seen, np.minimum((r / reach * BINS).astype(np.int64), BINS - 1)
+
     def _edge(self, sigma: Array) -> Array | float:
         """Margin (n,) [rad] inside the limits of the view; 0 without limits."""
         if self.sensor.max_angle - self.sensor.min_angle >= 2.0 * math.pi:
@@ -109,10 +128,12 @@ class DetectionRates:
         across = sigma[:, 1] if self.sensor.kind == RANGE_BEARING else sigma.max(axis=1)
         return -across - MARGIN
 
-    def learn(self, part: IntArray, taken: BoolArray, share: float) -> None:
-        """Landmarks (k,) in bins `part` were in view and detected or not, in a hypothesis of this weight."""
+    def learn(self, part: IntArray, taken: BoolArray, share: float | Array) -> None:
+        """Landmarks (k,) in bins `part` were in view and detected or not; share: weight of the hypothesis, times the
+        probability of being in view.
+        """
         np.add.at(self._expected, part, share)
-        np.add.at(self._seen, part[taken], share)
+        np.add.at(self._seen, part[taken], np.broadcast_to(share, part.shape)[taken])
 
 
 class Hypotheses:
@@ -205,12 +226,13 @@ class Hypotheses:
 
     def _miss(self) -> None:
         """Weigh each hypothesis by its missed detections; the rates are learned from all by their weight."""
-        log_miss = DEPENDENCE * self._detection.log_miss
+        rates = self._detection.rates
         for h in self.members:
-            inside, part = self._detection.within(*self._expect(h), self._reach)
-            taken = np.isin(self.map.id[inside], list(h.taken))
-            self._detection.learn(part, taken, math.exp(h.weight))
-            h.weight += float(log_miss[part[~taken]].sum())
+            seen, part = self._detection.in_view(*self._expect(h), self._reach)
+            taken = np.isin(self.map.id, list(h.taken))
+            seen[taken] = 1.0
+            self._detection.learn(part, taken, math.exp(h.weight) * seen)
+            h.weight += DEPENDENCE * float(np.log1p(-seen * rates[part])[~taken].sum())
         normalize(self.members)
 
     def _expect(self, h: Hypothesis) -> tuple[Array, Array]:

@@ -141,7 +141,7 @@ class MultiHypothesisFrontEnd(FrontEnd):
             cost[own, n + own] = new
         cost[own, n + m + own] = np.where(inside.any(axis=1) | (not slam), -math.log(STRAY / area), np.inf)
         seen, part = self._detection.within(e.z_hat, e.HPHt, self._reach)
-        miss = self._detection.log_miss[part]
+        miss = np.log1p(-self._detection.rates[part])
         children = []
         for _, columns in best_assignments(cost, self.setup.hypotheses, DROP):
             rows = np.flatnonzero(columns < n)

@@ -1,7 +1,4 @@
-"""The zoo of wrong estimators and wrong ways of association: every one is rejected, most with the name of its mistake.
-
-Right ones and sound approximations are accepted.
-"""
+"""The zoo of wrong estimators and ways of association: each is rejected; right ones and sound approximations pass."""
 
 from dataclasses import replace
 

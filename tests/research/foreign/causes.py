@@ -1,7 +1,4 @@
-"""How often the diagnosis without ground truth rejects sound foreign logs, and which causes it names for each fault.
-
-The path is that of `slamref run --twins N`: replicates, findings, and the log again once they are corrected.
-"""
+"""How often the diagnosis by twins rejects sound foreign logs, and which causes it names for each fault."""
 
 import math
 import tempfile

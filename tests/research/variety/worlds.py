@@ -3,8 +3,6 @@
 Of `WORLDS` worlds, those of even index are there to choose settings on, those of odd index to judge them. As many more
 come after them: nothing was chosen or judged on these, so they tell how much of what is reached was luck.
 
-The log of a world of the variety: a simulated robot's path and odometry, readings made anew, and what is misstated.
-
 Landmarks, readings and clutter come from independent streams of the index. What people were read as stays.
 """
 

@@ -1,7 +1,4 @@
-"""Scenes of pictures on a wall, made without the code under test.
-
-The oracle is the pinhole projection of corners that the tests place themselves.
-"""
+"""Scenes of pictures on a wall, made without the code under test: the pinhole projection of placed corners."""
 
 from dataclasses import dataclass
 

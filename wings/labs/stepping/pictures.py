@@ -1,8 +1,4 @@
-"""Figures of one step, as in the university lab: ground truth, map and observations; and of its association problem.
-
-Compatibility, and matching with a panel for each method, are seen from the robot (x forward, y left). Each function
-paints on a given figure, so that a window can be repainted and a file painted once.
-"""
+"""Figures of one step, as in the university lab: truth, map and observations; and of its association problem."""
 
 import io
 import os

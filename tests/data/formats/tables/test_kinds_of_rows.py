@@ -263,3 +263,39 @@ def test_rows_that_end_before_the_header_are_blank_there(read, unread):
     assert "o.csv: 6 of 9 rows end before the header does: their last columns are blank" in said
     one = [row if k == 4 else row.removesuffix(",7,8") + ",7,8" for k, row in enumerate(rows)]
     assert "5 fields where 7 are needed" in unread({"o.csv": "\n".join(["t,v,omega,range,bearing,mode,more", *one])})
+
+
+def test_lines_of_keys_are_rows_by_their_order(convert, read):
+    """Observations are of the odometry above them; one more key begins a row, the first key a block."""
+    lines = [f"odom: {0.5 * k} 0 0\n" + "".join(f"seen: {9 - k} {j}\n" for j in range(k % 3)) for k in range(9)]
+    columns = "odometry.x=1,odometry.y=2,odometry.theta=3,observations.x=1,observations.y=2"
+    words = ("--observations", "in.txt:seen", "--columns", columns)
+    for name in ("in.txt:odom", "in.txt:odom:"):
+        log, said = convert({"in.txt": "".join(lines)}, "table", name, "out", *words)
+        seen = log.recorded.observations
+        assert (len(log.recorded), seen.frame[:4].tolist()) == (9, [1, 2, 2, 4])
+        assert seen.z[:3] == pytest.approx(np.array([[8.0, 0.0], [7.0, 0.0], [7.0, 1.0]]))
+        assert "inferred: frame, of the row of odometry above" in said
+    one = "id:{}\nx:{}\ny:0.5\n"
+    blocks = [f"obs:{k}\ntime:{k}\n{one.format(4, 9 - k)}{one.format(7, 5)}\n" for k in range(6)]
+    log, _ = read({"o.csv": WHEELS, "s.txt": "".join(blocks)}, "--observations", "s.txt", "--columns", "label=id")
+    assert log.label.tolist() == [4, 7] * 6
+    assert log.recorded.observations.z[::2, 0] == pytest.approx(9.0 - np.arange(6))
+
+
+def test_rows_of_any_number_of_observations_are_rows_of_one(read, unread):
+    """The landmarks stand still along the way, which tells what the three numbers are."""
+    rows, places = [], np.array([[3.0, 4.0], [8.0, -2.0], [1.0, 6.0]])
+    for k in range(60):
+        turn = 0.03 * k  # on a circle
+        off = (places - [np.sin(turn) / 0.3, (1.0 - np.cos(turn)) / 0.3])[: k % 4]
+        far, to = np.hypot(*off.T), np.arctan2(off[:, 1], off[:, 0]) - turn
+        rows.append(" ".join([f"{0.1 * k:.1f}", *(f"{j} {r:.6f} {b:.6f}" for j, (r, b) in enumerate(zip(far, to)))]))
+    files = {"o.csv": WHEELS.replace(",1,0", ",1,0.3"), "s.txt": "\n".join(rows) + "\n"}
+    log, said = read(files, "--observations", "s.txt")
+    o = log.recorded.observations
+    assert (len(o.z), log.label[:4].tolist()) == (90, [0, 0, 1, 0])
+    assert o.z[0] == pytest.approx([np.hypot(2.9, 4.0), np.arctan2(4.0, 2.9) - 0.03], abs=2e-3)
+    assert "inferred: a row is a stamp and any number of observations of 3 numbers each" in said
+    files["s.txt"] = files["s.txt"].replace(rows[5], rows[5] + " 7")
+    assert "a row for each is needed" in unread(files, "--observations", "s.txt")

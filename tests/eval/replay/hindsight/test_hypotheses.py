@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_t
+from scipy.stats import multivariate_t, norm
 
 from data import se2
 from data.inputs import FrameObservations, Increment, LandmarkMap, Prior
@@ -12,7 +12,7 @@ from data.result import DISCARD
 from data.sensors import RangeBearing, RelativePoint
 from ekf.localizer import EkfLocalizer
 from eval.replay.hindsight.constants import FREEDOM
-from eval.replay.hindsight.hypotheses import FIRST, STRAY, Hypotheses
+from eval.replay.hindsight.hypotheses import FIRST, STRAY, DetectionRates, Hypotheses
 
 SENSOR = RelativePoint(max_range=20.0)
 R = np.diag([0.1, 0.1]) ** 2
@@ -97,15 +97,34 @@ def test_one_hypothesis_is_the_localizer():
         assert np.array_equal(leader.P, ekf.estimate().covariance)
 
 
+@pytest.mark.parametrize("kind", [RangeBearing, RelativePoint])
+def test_a_landmark_is_in_view_with_the_probability_that_its_range_and_bearing_are(kind):
+    sensor = kind(max_range=8.0, min_angle=-0.5, max_angle=0.5)
+    polar = np.array([[5.0, 0.0], [5.0, -0.5], [5.0, 0.7], [8.0, 0.0], [8.2, 0.5], [5.0, np.pi]])
+    z = (
+        polar
+        if kind is RangeBearing
+        else np.stack([polar[:, 0] * np.cos(polar[:, 1]), polar[:, 0] * np.sin(polar[:, 1])]).T
+    )
+    sigma = np.array([[0.2, 0.2]] * 6) if kind is RangeBearing else 0.2 * polar[:, :1] * [0.5, 1.0]
+    detection = DetectionRates(sensor)
+    found, part = detection.in_view(z, np.array([np.diag(s**2) for s in sigma]), 8.0)
+    off = [1.0, 1.0, 1.0, 0.5, norm.cdf(-0.2 / (0.2 if kind is RangeBearing else 1.64)), 1.0]
+    across = norm.cdf([2.5, 0.0, -1.0, 2.5, 0.0, -13.0]) - norm.cdf([-2.5, -5.0, -6.0, -2.5, -5.0, -18.0])
+    assert found == pytest.approx(off * across, abs=1e-6 if kind is RangeBearing else 2e-3)
+    assert part.tolist() == [6, 6, 6, 9, 9, 6]
+
+
 def seen_and_expected(b):
     """What was added to either, by distance."""
     return (b._detection._seen - FIRST[0]).round(3).tolist(), (b._detection._expected - FIRST[1]).round(3).tolist()
 
 
 def test_how_often_landmarks_are_seen_is_learned_by_their_distance():
-    # up to 20 m in ten parts of 2 m: at 1, 5, 5.5 and 17 m in view, at 19.9 m too near the edge, at 30 m out of view
+    # up to 20 m in ten parts of 2 m: at 1, 5, 5.5 and 17 m in view, at 30 m out of view;
+    # at 19.9 m a quarter of a sigma inside the limit of 20 m (0.4 m)
     b, _ = bank([[1.0, 0.0], [0.0, 5.0], [-5.5, 0.0], [0.0, -17.0], [19.9, 0.0], [30.0, 0.0]], sigma=(0.1, 0.1, 1e-3))
     b.observe(FrameObservations(np.array([[0.0, 5.0], [1.0, 0.0]]), np.array([R, R])), 0)
     seen, expected = seen_and_expected(b)
     assert seen == [1, 0, 1, 0, 0, 0, 0, 0, 0, 0]
-    assert expected == [1, 0, 2, 0, 0, 0, 0, 0, 1, 0]
+    assert expected == [1, 0, 2, 0, 0, 0, 0, 0, 1, 0.599]
