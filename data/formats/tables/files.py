@@ -582,12 +582,14 @@ class Columns:
         for q in quantities:
             if q not in INSTANTS:
                 empty &= np.array([row[columns[q]].lower() in ("", "nan") for row in file.rows], bool)
+        ended = empty & np.array(["t" in quantities and not row[columns["t"]] for row in file.rows], bool)
+        empty &= ~ended  # below the end of an array that is shorter than others
         if role == "truth" and "t" in columns and 2 * empty.sum() > len(file):  # rows of several topics
             some = f"{int(empty.sum())} of {len(file)} rows have no true pose: it is interpolated between the others"
             self.notes.append(f"{file.path.name}: {some}")
         else:
             empty &= not set(quantities) & set(may_be_blank)
-        keep = ~empty
+        keep = ~(empty | ended)
         if role == "map" or INSTANTS & set(columns):
             whole = role not in ROLES or role == "observations"
             fields = range(len(file.names)) if whole else (*columns.values(), *named.values())
