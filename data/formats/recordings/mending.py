@@ -71,7 +71,8 @@ def require_metres(path: Path, ranges: Array) -> None:
     middle = float(np.median(finite))
     unit = "mm" if middle > 1000.0 else "cm"
     what = f"the middle range is {middle:g} m; metres are needed"
-    raise DataError.at(path, f"{what}: are the ranges in {unit}? Then add --range-unit {unit} to slamref convert")
+    right = f"add --range-unit {unit} to slamref convert (of a table --unit range={unit})"
+    raise DataError.at(path, f"{what}: are the ranges in {unit}? Then {right}")
 
 
 LOOSE = 1.5  # Beams, by which the stated angles may disagree

@@ -359,15 +359,17 @@ def factor(dimension: str, text: str, where: str) -> float:
     units = DIMENSIONS[kind]
     if kind == "time" and text == ISO:
         return 1.0
-    many = re.match(r"\d*\.?\d+", under)  # per 0.1s
-    under, times = (under[many.end() :], float(many[0])) if many else (under, 1.0)
-    if over not in units or bool(slash) != bool(per) or (per and under not in TIME) or not times > 0.0:
+    (over, often), (under, times) = (
+        (text[many.end() :], float(many[0])) if (many := re.match(r"\d*\.?\d+", text)) else (text, 1.0)
+        for text in (over, under)  # counts of 0.1ms, per 0.1s
+    )
+    if over not in units or bool(slash) != bool(per) or (per and under not in TIME) or not times * often > 0.0:
         example = f"{next(iter(units))}/s" if per else ", ".join([*units, ISO] if kind == "time" else units)
         what = f"of {', '.join(units)} per {', '.join(TIME)}, as in {example}," if per else f"one of {example}"
         known = [f"{unit}/{time}" for time in TIME for unit in units] if per else units
         hint = f" (did you mean {over}/s?)" if per and unit in units else did_you_mean(unit, known)
         raise UsageError(f"{where}: unknown unit {text!r}{hint}; {what} is needed")
-    return sign * units[over] / (times * TIME[under] if per else 1.0)
+    return sign * often * units[over] / (times * TIME[under] if per else 1.0)
 
 
 def quantity_with_unit(text: str, dimension: str, where: str) -> float:

@@ -53,7 +53,8 @@ def read_scans(
         own = {name: float(row[at[name]]) for name in GEOMETRY if name in at and is_number(row[at[name]])}
         own = {"range_min": 0.0} | own | given
         own.setdefault("angle_max", own["angle_min"] + (len(fields) - 1) * own["angle_increment"])
-        message = SimpleNamespace(header=header, ranges=list(map(float, fields)), **own)
+        ranges = [columns.units.factor("scans", "range") * float(f) for f in fields]
+        message = SimpleNamespace(header=header, ranges=ranges, **own)
         found.scans.add(message, float(stamp[k]), f"{file.path}:{line}")
     columns.read |= {(file.path, k) for k in (*beams, *(at[n] for n in GEOMETRY if n in at))}
     seen = scans_of(file.path, (), found, "", odometry.span)

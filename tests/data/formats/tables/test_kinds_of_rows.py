@@ -142,7 +142,14 @@ def test_seconds_and_nanoseconds_beside_ranges_in_one_field(read):
     seen += "".join(f'{t},0,2,1,0.1,9,"({4 - 0.1 * k}, inf, 3.0)"\n' for k, t in enumerate(stamps))
     log, _ = read({"o.csv": odometry, "s.csv": seen}, "--scans", "s.csv", "--columns", "theta=pose.theta")
     assert log.recorded.time == pytest.approx(0.1 * np.arange(12))
-    assert pytest.approx(np.array([4 - 0.1 * np.arange(12), [0.0] * 12, [3.0] * 12])) == log.recorded.scans.ranges.T
+    ranges = pytest.approx(np.array([4 - 0.1 * np.arange(12), [0.0] * 12, [3.0] * 12]))
+    assert ranges == log.recorded.scans.ranges.T
+    counts = "t,x,y,theta\n" + "".join(f"{1000 * k},{0.1 * k},0,0\n" for k in range(12))
+    seen = "t,r1,r2,r3\n" + "".join(f"{1000 * k},{400 - 10 * k},inf,300\n" for k in range(12))
+    words = ("--columns", "scans.range=r1", "--scanner", "0,1,9", "--unit", "time=0.1ms,range=cm")
+    log, _ = read({"o.csv": counts, "s.csv": seen}, "--scans", "s.csv", *words)
+    assert log.recorded.time == pytest.approx(0.1 * np.arange(12))
+    assert ranges == log.recorded.scans.ranges.T
 
 
 def test_speeds_of_wheels_and_ranges_alone(read):
