@@ -10,6 +10,7 @@ import numpy as np
 from data.columns.scans import BROKEN, array_of, open_archive
 from data.errors import DataError
 from data.formats.matlab import kind_of, load, variables
+from data.formats.messages import file_and_word
 from data.se2 import Array
 
 SUFFIXES = (".mat", ".npz", ".npy")
@@ -18,8 +19,12 @@ WIDE = (12, 30)
 """Most rows and fewest columns of a matrix whose rows are the columns of a table: a state at each of many instants."""
 
 
+ELEMENT = "element"  # Name of the column of numbers of structs, from 0
+
+
 def is_arrays(path: Path) -> bool:
     """Whether a file is one of arrays by its name. DataError for a pickle, which can run code."""
+    path = file_and_word(path)[0]
     if path.suffix.lower() in PICKLES:
         raise DataError.at(path, "a pickle, which can run code; save its arrays by numpy.savez, or as CSV")
     return path.suffix.lower() in SUFFIXES
@@ -45,13 +50,16 @@ def named(path: Path) -> dict[str, Any]:
 def columns_of(path: Path) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
     """Names and rows: vectors as columns, blank below their ends: NAME, of a matrix NAME_1, NAME_2, ... (of a `WIDE`
     one its rows), of a struct STRUCT.FIELD, or FIELD where it is the only one; of structs and matrices in arrays see
-    `_listed`. DataError for a file without numbers.
+    `_listed`; of FILE:STRUCT those of one struct. DataError for a file without numbers.
     """
+    path, word = file_and_word(path)
     found = named(path)
     alone = sum(isinstance(value, dict | list) for value in found.values()) == 1
     columns: Columns = {}
     for name, value in found.items():
         columns |= _unrolled("" if alone and isinstance(value, dict | list) else name, value)
+    if word and (own := {k.removeprefix(f"{word}."): c for k, c in columns.items() if k.startswith(f"{word}.")}):
+        columns = own
     rows = tuple(zip_longest(*columns.values(), fillvalue=""))
     if not rows:
         raise DataError.at(path, f"no vector of numbers; it has {', '.join(found) or 'nothing'}")
@@ -83,7 +91,7 @@ def _numbered(name: str, table: Array) -> Columns:
 
 def _listed(name: str, structs: Sequence[Mapping[str, Any]]) -> Columns:
     """A row for each struct, of fields that have as many numbers in all. Below them a row for each column of a matrix,
-    or each struct, that a field holds: with the number of its struct as NAME.frame, and its single numbers, as stamps.
+    or each struct, that a field holds: with its struct's number as NAME.element, and its single numbers, as stamps.
     """
     columns, single, inside = Columns(), list[str](), list[str]()
     for key in structs[0] if structs else ():
@@ -100,7 +108,7 @@ def _listed(name: str, structs: Sequence[Mapping[str, Any]]) -> Columns:
             found = _columns_across(own, struct[key], [s[key] for s in structs])
             count = max(map(len, found.values()), default=0)
             found |= {f"{name}.{one}".strip("."): [repr(float(struct[one].item()))] * count for one in single}
-            found[f"{name}.frame".strip(".")] = [str(k)] * count
+            found[f"{name}.{ELEMENT}".strip(".")] = [str(k)] * count
             for column, values in found.items() if count else ():
                 columns.setdefault(column, []).extend([*[""] * (rows - len(columns.get(column, ()))), *values])
             rows += count

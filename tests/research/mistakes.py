@@ -14,6 +14,7 @@ from data.convert.__main__ import main as convert
 from data.formats.open_log import load_folder
 from data.log import Log
 from data.questions import readings as ex
+from data.questions.examination import explanations
 from data.questions.witnesses import Case, case_of
 from data.se2 import wrap_angle
 from eval.example import main as example
@@ -97,7 +98,7 @@ def study(names: list[str]) -> None:
 
 
 def _said(c: Case, named: tuple[str, str, str]) -> str:
-    each = [e.readings for e in ex.explanations(c)]
+    each = [e.readings for e in explanations(c)]
     fits = [any(all(a in ("", b) for a, b in zip(named, (r.kind, r.of, r.unit))) for r in rs) for rs in each]
     others = "; ".join(" & ".join(f"{r.kind} {r.of} {r.unit}{r.number:.3g}" for r in rs) for rs in each)
     return ("+" if len(each) == 1 else "or") if any(fits) else others or "-"

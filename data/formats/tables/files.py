@@ -22,7 +22,7 @@ from data.csv_table import Table, cut_off, ends_early, is_number
 from data.dates import EXAMPLE, ISO, is_date, seconds_of
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean, unknown
-from data.formats.arrays import columns_of, is_arrays
+from data.formats.arrays import ELEMENT, columns_of, is_arrays
 from data.formats.messages import cut_end, file_and_word, kinds_of, numbered_rows, parts_of, whole_names, with_word
 from data.formats.results.reading import role_of, topics_in, words_of
 from data.inputs import IntArray
@@ -467,7 +467,7 @@ class Columns:
         if not also and quantity in WITHIN:  # of a field within structs; not the number of a struct that has its own
             last = {c: "".join(words_of(name.rpartition(".")[2])[0]) for c, name in enumerate(file.names) if file.named}
             also = [c for c, word in last.items() if word in ALSO[quantity]]
-            also = also or [c for c, word in last.items() if word == quantity]
+            also = also or [c for c, word in last.items() if word == (ELEMENT if quantity == "frame" else quantity)]
         if quantity == "t":  # not the time of recording
             also = [c for c in also if (file.path, c) not in self.intervals]
             also = [c for c in also if "header" in file.names[c]] or also

@@ -234,6 +234,9 @@ def test_cells_of_matrices_and_structs_within_structs(convert, tmp_path):
     o = log.recorded.observations
     assert (len(log.recorded), o.frame[:4].tolist(), log.label[:4].tolist()) == (41, [1, 2, 2, 3], [8, 8, 9, 8])
     assert "inferred: frame counts from 1, as 41 is its last" in said
+    one = "dx=v_1,dy=v_2,dtheta=v_3,x=seen.p_1,y=seen.p_2,label=seen.id"  # by the structs' own names
+    same, _ = convert({}, "table", "b.mat:moves", "out", "--observations", "b.mat:obs", "--columns", one, *true)
+    assert same.recorded.observations.frame.tolist() == o.frame.tolist()
 
 
 def test_true_poses_at_one_stamp_are_one_where_they_are_alike(read, unread):
