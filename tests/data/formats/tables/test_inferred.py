@@ -142,12 +142,11 @@ def test_a_compass_and_dates(convert):
     circle = np.column_stack([4.0 * np.sin(turn), 4.0 - 4.0 * np.cos(turn), wrap_angle(turn)])
     dates = [f"2024-05-01 12:00:{t:09.6f}" for t in T]
     files = {"o.csv": "\n".join(["time,v,omega", *(f"{d},1,0.25" for d in dates)])}
-    north = (0.5 * np.pi, np.rad2deg(1.0), "in degrees clockwise from north")
-    for east, unit, since in ((0.0, 1.0, "clockwise from east"), north):
+    for east, unit, since in ((0.0, 1.0, "clockwise from east"), (0.5 * np.pi, 57.29578, "clockwise from north")):
         rows = (f"{d},{unit * wrap_angle(east - h)},{x},{y}" for d, (x, y, h) in zip(dates, circle, strict=True))
         files["gps.csv"] = "\n".join(["time,heading,x,y", *rows])
         log, said = convert(files, "table", "o.csv", "out", "--fixes", "gps.csv", "--fix-sigma", "0.5,0.5,2deg")
-        assert f"inferred: headings of fixes are {since}" in said
+        assert f"{since}, as the odometry turns so only" in said
         assert log.recorded.prior.mean == pytest.approx([0.0, 0.0, 0.0], abs=0.01)
         np.testing.assert_allclose(log.recorded.fixes.z[:, 2], circle[log.recorded.fixes.frame, 2], atol=0.03)
     rows = (f"{d},{wrap_angle(3.0 + h)},{x},{y}" for d, (x, y, h) in zip(dates, circle, strict=True))
@@ -168,8 +167,7 @@ def test_steps_between_poses(convert, names):
     np.testing.assert_allclose(log.recorded.increments.mean[1:], step, atol=1e-9)
     files["truth.csv"] = text("t,x,y,theta", T[:200], POSE[:200])
     if "from" in names:
-        said = convert(files, "table", "o.csv", "out", *parts, status=2)
-        assert "200 true poses, 300 frames: which belong together?" in said
+        assert "200 true poses, 300 frames: which" in convert(files, "table", "o.csv", "out", *parts, status=2)
 
 
 def test_an_array_of_scans_beside_stamps_and_headings_of_the_names_time_and_t(convert, tmp_path):
