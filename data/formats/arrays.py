@@ -9,7 +9,7 @@ import numpy as np
 
 from data.columns.scans import BROKEN, array_of, open_archive
 from data.errors import DataError
-from data.formats.matlab import kind_of, load, variables
+from data.formats.matlab import CELLS, kind_of, load, variables
 from data.formats.messages import file_and_word
 from data.se2 import Array
 
@@ -76,7 +76,7 @@ def _unrolled(name: str, value: Any) -> Columns:
         return {key: column for columns in each for key, column in columns.items()}
     if isinstance(value, list):
         return _listed(name, value)
-    if kind_of(value) == kind_of(np.array([None])):
+    if kind_of(value) == CELLS:
         return _listed(name, [{"": item} for item in value.ravel(order="F")])
     if kind_of(value) != "numbers" or value.ndim > 2 or not value.size:
         return {}

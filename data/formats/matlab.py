@@ -92,13 +92,18 @@ def save(path: Path, values: Mapping[str, object]) -> None:
         file.write(b"MATLAB 5.0 MAT-file".ljust(VERSION - 8))  # scipy states the time
 
 
+CELLS = "cell array or objects"
+
+
 def kind_of(value: object) -> str:
     """What a value is, in words."""
     if isinstance(value, Mapping):
         return "a struct"
+    if isinstance(value, list):
+        return CELLS
     if not isinstance(value, np.ndarray):
         return "a sparse matrix" if scipy.sparse.issparse(value) else f"a {type(value).__name__}"
-    kinds = {"O": "cell array or objects", "U": "text", "S": "text", "c": "complex numbers", "V": "records"}
+    kinds = {"O": CELLS, "U": "text", "S": "text", "c": "complex numbers", "V": "records"}
     return kinds.get(value.dtype.kind, "numbers")
 
 

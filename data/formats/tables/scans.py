@@ -15,6 +15,7 @@ from data.se2 import Array
 
 RANGE = re.compile(r"(?:.*[._])?ranges?[._\[]?\d+\]?")
 BEAMS = 30  # Least numbers of a row that are taken for a scan
+POINT = 3  # Most numbers of a point
 STATED = ("angle_min", "angle_increment", "range_max")
 
 
@@ -39,6 +40,9 @@ def read_scans(
     if not beams and listed is None:
         what = f"no scans: {file.described()}; columns such as range0, range1 are needed"
         raise DataError.at(file.path, f"{what}, or --columns scans.range=N: all from the N-th on")
+    if beams and len(beams) <= POINT and file.path.is_dir():
+        what = f"{len(beams)} numbers in a row are points, no beams; a row with the ranges of a whole scan is needed"
+        raise DataError.at(file.path, what, line=int(file.line[0]))
     if scanner is None and not {*STATED} <= {*at}:
         what = f"{file.path.name} names no {', '.join(name for name in STATED if name not in at)}"
         raise UsageError(f"--scanner LOW,STEP,MAX, as in -90deg,0.5deg,8m, is needed: {what}")
