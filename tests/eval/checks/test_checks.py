@@ -43,18 +43,14 @@ def test_our_own_ways_of_association_pass_every_check(name):
     slamref.check_association(name)
 
 
+PREDICTED = "z_hat off by up to .* sigma, first in frame 2; .*look at `predict` of the mean"
 WRONG = [
     (estimators.seams, "localization", wrong.NoWrap, r"sigma off where the same path in a world turned by .* rad"),
     (estimators.seams, "localization", wrong.BelowZero, "the same path in a world turned by -2 rad"),
     (estimators.seams, "localization", wrong.NearTheSeam, "the same path in a world turned by 3.1 rad"),
     (exactness, "localization", wrong.BodyFrame, "Likely: the pose covariance in the body frame"),
     (estimators.without_noise, "localization", wrong.Drifting, "sigma off where the true path from exact observations"),
-    (
-        exactness,
-        "localization",
-        wrong.Drifting,
-        "z_hat off by up to .* sigma, first in frame 2; .*look at `predict` of the mean",
-    ),
+    (exactness, "localization", wrong.Drifting, PREDICTED),
     (exactness, "slam", wrong.Timid, "pose covariance off by up to 12 sigma, first in frame 0"),
     (estimators.covariances, "slam", wrong.Asymmetric, "frame 0: Asymmetric.estimate: the covariance is not symmetric"),
     (estimators.purity, "slam", wrong.Writing, "observations.z of frame 0 was changed by up to 0.5: copy what is kept"),
@@ -67,12 +63,7 @@ WRONG = [
     (exactness, "slam", wrong.OwnRange, "landmarks off .* a range and bearing of your own, .* do not fit it"),
     (estimators.removal, "slam", wrong.Returning, "landmark 0 was removed and is in the map again"),
     (exactness, "slam", wrong.Blurred, "HPH' off by up to"),
-    (
-        exactness,
-        "slam",
-        wrong.Shifted,
-        "z_hat off by up to .* sigma, first in frame 2; .*look at `predict` of the mean",
-    ),
+    (exactness, "slam", wrong.Shifted, PREDICTED),
     (estimators.runs, "slam", wrong.Dead, r"stopped at frame 1: Dead.predict raised OSError: flat battery \(wrong.py"),
 ]
 

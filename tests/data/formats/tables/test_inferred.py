@@ -67,7 +67,6 @@ def test_poses_without_names_are_read_as_headings_follow_the_motion(converted):
 
 @pytest.mark.parametrize("order", [["label", "range", "bearing"], ["bearing", "label", "range"], ["label", "y", "x"]])
 def test_observations_without_names_are_read_as_landmarks_stand_still(convert, order):
-    """Ids are whole numbers; ranges and bearings, or points with y to the right, are told by the motion."""
     at = np.repeat(np.arange(0, 300, 10), 4)
     off = np.tile(PLACES, (30, 1)) - POSE[at, :2]
     distance, bearing = np.hypot(*off.T), wrap_angle(np.arctan2(off[:, 1], off[:, 0]) - POSE[at, 2])
@@ -89,8 +88,7 @@ def test_observations_without_names_are_read_as_landmarks_stand_still(convert, o
         assert (len(log.recorded.observations.z), log.label.tolist()) == (60, [0, 1] * 30)
 
 
-def test_observations_that_two_readings_explain_are_not_read(convert):
-    """The robot stands still, so that every reading keeps the landmarks in one place."""
+def test_observations_of_a_robot_that_stands_still_are_not_read(convert):
     seen = np.column_stack(
         [T, np.arange(300) % 4, np.tile([3.0, 4.0, 5.0, 6.0], 75), np.tile([0.1, -0.2, 0.3, 0.4], 75)]
     )
@@ -171,7 +169,6 @@ def test_steps_between_poses(convert, names):
 
 
 def test_an_array_of_scans_beside_stamps_and_headings_of_the_names_time_and_t(convert, tmp_path):
-    """The only wide array holds the scans; t descends, so it is theta, and time the stamps."""
     scans = np.full((300, 40), 3.0)
     np.savez(tmp_path / "log.npz", laser=scans, time=T, t=-THETA, v=V, w=OMEGA)
     flags = ("table", str(tmp_path / "log.npz"), "out", "--scans", str(tmp_path / "log.npz"))
