@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 
 from data.command import Command
 from data.errors import UsageError
@@ -30,7 +31,10 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     reading = Scoring(**read_values(Scoring, given, lambda row: row.option))
     stated = any(f"{role}." in text for text in reading.columns for role in ("estimate", "truth"))
     if len(files) == 1 and not truths and (stated or holds_both(files[0])):
-        files = files * 2  # a row holds both
+        files = files * 2  # a row holds both; a column without a role is the estimate's, but for the stamps
+        each = [pair for text in reading.columns for pair in text.split(",")]
+        own = ("" if "." in pair.partition("=")[0] or pair[:2] == "t=" else "estimate." for pair in each)
+        reading = replace(reading, columns=tuple(role + pair for role, pair in zip(own, each, strict=True)))
     files, truths = _files(files, truths)
     scores, notes = printed(files, truths, reading, infer="align" not in given)
     sys.stdout.write(f"{scores}\n")

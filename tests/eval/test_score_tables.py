@@ -54,7 +54,7 @@ def test_columns_without_names_are_told_by_their_numbers(scored, names, separato
 
 def test_columns_that_may_be_anything_are_to_be_named(scored):
     text = table({"x": MINE[:, 0], "y": MINE[:, 1], "z": 0 * T}, False, " ")
-    assert "--columns x=1,y=2" in scored(text, text, wrong=True)
+    assert "--columns truth.x=1,truth.y=2" in scored(text, text, wrong=True)
     places = table({"lat": 1e-4 * MINE[:, 0] + 12.9, "lon": 1e-4 * MINE[:, 1] + 77.6}, False, " ")
     moved = table({"lat": 1e-4 * MINE[:, 0] + 12.90001, "lon": 1e-4 * MINE[:, 1] + 77.6}, False, " ")
     assert scored(places, moved)["rmse_position_m"] == pytest.approx(1.106, abs=1e-3)  # degrees
@@ -83,9 +83,9 @@ def test_two_estimates_beside_a_truth_are_to_be_chosen(scored):
     columns = dict(zip(("x_ekf", "x_odom", "y_ekf", "x_gt", "y_gt"), (*MINE.T[[0, 1, 1]], *TRUE.T[:2]), strict=True))
     text = table(columns)
     assert "'x_ekf' and 'x_odom' both name x; one of them is needed, as in --columns x=1" in scored(text, wrong=True)
-    assert scored(text, flags=("--columns", "estimate.x=x_ekf"))["rmse_position_m"] == pytest.approx(0.1)
-    said = scored(text, flags=("--columns", "estimate.x=x_ekv"), wrong=True)
-    assert "no column 'x_ekv' (did you mean x_ekf?)" in said
+    for named in ("estimate.x=x_ekf", "x=x_ekf", "x=1"):
+        assert scored(text, flags=("--columns", named))["rmse_position_m"] == pytest.approx(0.1)
+    assert "'x_ekv' (did you mean x_ekf?)" in scored(text, flags=("--columns", "estimate.x=x_ekv"), wrong=True)
     assert "did you mean" in scored(text, text, flags=("--columns", "estimte.x=x_ekf"), wrong=True)
 
 

@@ -143,20 +143,22 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
     both = any(len({true[j] for j in some}) > 1 for role, some in found.items() if role != "t")
     unlike = [topic for topic in several if topic.startswith("/") and "x" not in place]
     if len(unlike) > max(1, len(found.get("x", ()))):
-        what = (
-            f"topics {', '.join(unlike)}: type which (of the estimate, and of the truth), as in {text.path}:{unlike[0]}"
-        )
+        what = f"topics {', '.join(unlike)}: type which, of estimate and truth, as in {text.path}:{unlike[0]}"
         raise DataError.at(text.path, what, line=line)
+    unclear: dict[str, list[int]] = {}
     for role, some in found.items():
         if both and (role not in ("t", "nanoseconds") or len(some) > 1):
             some = [j for j in some if true[j] == manner.true]
         if role == "t":  # not the time of recording, nor one without the digits that tell rows apart
             some = [j for j in some if len({f[j] for f in text.fields[1:] if j < len(f)}) > 1] or some
             some = [j for j in some if "stamp" in names[j].lower()][-1:] or some[:1]
-        if len(some) > 1:
-            what = f"{names[some[0]]!r} and {names[some[1]]!r} both name {role}; one of them is needed"
-            raise DataError.at(text.path, f"{what}, as in --columns {role}={some[0] + 1}", line=line)
-        place |= dict.fromkeys([role] * len(some), *some)
+        unclear |= {role: some} if len(some) > 1 else {}
+        place |= dict.fromkeys([role] * (len(some) == 1), *some[:1])
+    if unclear:
+        role, some = next(iter(unclear.items()))
+        what = f"{names[some[0]]!r} and {names[some[1]]!r} both name {role}; one of them is needed"
+        typed = ",".join(f"{'truth.' * manner.true}{r}={s[0] + 1}" for r, s in unclear.items())
+        raise DataError.at(text.path, f"{what}, as in --columns {typed.replace('yaw', 'theta')}", line=line)
     stated = {role: words_of(names[j])[1] if role in manner.columns else read[j][1] for role, j in place.items()}
     unit = {role: its for role, its in stated.items() if its}
     unread = tuple(name for j, name in enumerate(names) if name and j not in place.values())
@@ -520,7 +522,7 @@ def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:
     odd = next((k for k, row in enumerate(text.fields) if len(row) != len(first)), 0)
     shown = f"{len(text.fields[odd])} fields{f' where {len(first)} are above' * (odd > 0)}"
     shown += f", {','.join(text.fields[odd])[:40]!r}"
-    example = ",".join(f"{q}={n}" for q, n in likely(text.fields).items())
+    example = ",".join(f"{'truth.' * manner.true}{q}={n}" for q, n in likely(text.fields).items())
     what = f"{shown}: no known trajectory format; {ACCEPTED} is needed, or columns by number: --columns {example}"
     raise DataError.at(text.path, what, line=text.line[odd])
 
@@ -599,6 +601,9 @@ def holds_both(name: str) -> bool:
     """Whether the rows of a file name a true position, too."""
     if is_bag(Path(name)) or not Path(name).is_file():
         return False
-    found = [header_names(lines.read_text(Path(name)), Manner(true=side)) for side in (False, True)]
+    try:
+        found = [header_names(lines.read_text(Path(name)), Manner(true=side)) for side in (False, True)]
+    except DataError:  # of several that name a position, which reading it will say
+        return True
     x, true = (None if columns is None else columns.place.get("lat", columns.place.get("x")) for columns in found)
     return None not in found and x != true
