@@ -121,11 +121,7 @@ def _columns_across(name: str, value: Any, each: Sequence[Any]) -> Columns:
         return _unrolled(name, [value] if isinstance(value, dict) else value)
     shapes = [np.shape(v) for v in each if isinstance(v, np.ndarray) and v.size and v.ndim == 2]
     low, wide = ({shape[axis] for shape in shapes} for axis in (0, 1))
-    if (
-        value.ndim != 2
-        or not value.size
-        or min(len(low), len(wide)) > 1
-        or max(low if len(low) == 1 else wide) > WIDE[0]
-    ):
+    same = low if len(low) == 1 else wide
+    if value.ndim != 2 or not value.size or min(len(low), len(wide)) > 1 or max(same) > WIDE[0]:
         return {}
     return _numbered(name, value.T if len(low) == 1 else value)

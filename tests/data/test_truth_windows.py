@@ -281,8 +281,7 @@ def test_a_filter_that_creeps_while_the_robot_rests_has_not_leapt_away():
     """Seen: a path that stood still most of the time had no usual step, so each of 8 mm was a leap."""
     rng = np.random.default_rng(4)
     moving = np.arange(3000) % 300 < 60
-    truth = np.zeros((3000, 3))
-    truth[:, 0] = 0.002 * np.cumsum(moving)
+    truth = np.column_stack([0.002 * np.cumsum(moving), np.zeros((3000, 2))])
     other = truth.copy()
     other[:, :2] += np.cumsum(0.001 * rng.laplace(size=(3000, 2)) * (rng.random((3000, 1)) < 0.3), axis=0)
     assert leaps(other, truth) == []

@@ -77,6 +77,7 @@ def test_an_estimate_and_its_truth_in_one_row(scored, own, true):
     assert values["rmse_position_m"] == pytest.approx(0.1)
     assert "rmse_heading_deg" not in values
     assert scored(text, text) == values
+    assert "no poses; compose them" in scored(text, f"image_next,{text}", wrong=True)
 
 
 def test_two_estimates_beside_a_truth_are_to_be_chosen(scored):

@@ -145,6 +145,9 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
     if len(unlike) > max(1, len(found.get("x", ()))):
         what = f"topics {', '.join(unlike)}: type which, of estimate and truth, as in {text.path}:{unlike[0]}"
         raise DataError.at(text.path, what, line=line)
+    if moved := [name for name in names if name.endswith("_next") or name in ("from_index", "to_index")]:
+        what = f"rows are motions from one instant to the next ({moved[0]}), no poses; compose them to poses"
+        raise DataError.at(text.path, what, line=line)
     unclear: dict[str, list[int]] = {}
     for role, some in found.items():
         if both and (role not in ("t", "nanoseconds") or len(some) > 1):

@@ -18,9 +18,7 @@ from data.se2 import Array
 WORDS = {"odometry": ("odo", "control", "input"), "truth": ("tru", "real", "gt")}
 """Parts of names of matrices, of which one is taken among several that might be a role's."""
 SPANS = (1, 4, 16)  # Observations of a landmark between two that are compared
-CLEAR = 0.7
-"""Largest share of the next reading's spread. By odometry alone 140 of 180 tables of simulated logs were read so, none
-of them wrong; at 1 nine were. By a truth all were right."""
+CLEAR = 0.7  # Largest share of the next reading's spread: of 360 simulated tables 260 were read so, none wrong
 
 Path = tuple[Array, Array]  # stamps (K,) s and poses (K, 3)
 

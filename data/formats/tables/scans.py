@@ -1,5 +1,6 @@
 """Laser scans of a table, a row each: ranges in columns that are numbered, angles in others or as stated."""
 
+import math
 import re
 from itertools import groupby
 from types import SimpleNamespace
@@ -15,7 +16,6 @@ from data.se2 import Array
 
 RANGE = re.compile(r"(?:.*[._])?ranges?[._\[]?\d+\]?")
 BEAMS = 30  # Least numbers of a row that are taken for a scan
-POINT = 3  # Most numbers of a point
 STATED = ("angle_min", "angle_increment", "range_max")
 
 
@@ -40,12 +40,15 @@ def read_scans(
     if not beams and listed is None:
         what = f"no scans: {file.described()}; columns such as range0, range1 are needed"
         raise DataError.at(file.path, f"{what}, or --columns scans.range=N: all from the N-th on")
-    if beams and len(beams) <= POINT and file.path.is_dir():
+    if beams and len(beams) <= 3 and file.path.is_dir():
         what = f"{len(beams)} numbers in a row are points, no beams; a row with the ranges of a whole scan is needed"
         raise DataError.at(file.path, what, line=int(file.line[0]))
     if scanner is None and not {*STATED} <= {*at}:
         what = f"{file.path.name} names no {', '.join(name for name in STATED if name not in at)}"
         raise UsageError(f"--scanner LOW,STEP,MAX, as in -90deg,0.5deg,8m, is needed: {what}")
+    if scanner is not None and (len(beams) - 1.5) * abs(scanner[1]) > 2.0 * np.pi:
+        what = f"{len(beams)} beams, {math.degrees(scanner[1]):.4g} deg apart, pass a full turn"
+        raise UsageError(f"--scanner: {what}; are there intensities between the ranges? Leave their columns out")
     stamped = columns.find(file, "scans", "t") is not None or len(file) != len(odometry.rows)
     stamp = columns.stamps(file, "scans", np.ones(len(file), bool)) if stamped else odometry.rows
     found, header = Collected(), SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0), frame_id="laser")

@@ -174,8 +174,8 @@ def test_an_array_of_scans_beside_stamps_and_headings_of_the_names_time_and_t(co
     flags = ("table", str(tmp_path / "log.npz"), "out", "--scans", str(tmp_path / "log.npz"))
     assert "--scanner LOW,STEP,MAX" in convert({}, *flags, status=2)
     log, said = convert({}, *flags, "--scanner", "-90deg,4deg,8m")
-    assert "inferred: --columns t=time" in said
-    assert "inferred: --columns scans.range=laser_1" in said
+    assert all(f"inferred: --columns {flag}" in said for flag in ("t=time", "scans.range=laser_1"))
+    assert "pass a full turn" in convert({}, *flags, "--scanner", "-90deg,10deg,8m", status=2)
     assert log.recorded.scans.ranges.shape == (300, 40)
 
 
