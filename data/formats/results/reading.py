@@ -232,14 +232,17 @@ def role_of(name: str) -> tuple[str, str]:
     return "", ""
 
 
+RATES = {"kmh": "km/h", "kph": "km/h", "mph": "mi/h", "kn": "nmi/h", "mps": "m/s", "rpm": "rev/min", "dps": "deg/s"}
+
+
 def words_of(name: str) -> tuple[list[str], str]:
     """The words of a column's name in small letters, without its unit, in brackets or last, and that unit."""
     unit = ""
     if found := re.fullmatch(r"(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]", name):
         name, unit = found[1], _unit(found[2]) or found[2].strip()
     words = [w for w in re.split(r"[^a-z0-9µ°]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()) if w]
-    if len(words) > 1 and words[-1] not in STAMPS | set("xyzwt") and _unit(words[-1]):
-        unit = unit or _unit(words.pop())
+    if len(words) > 1 and words[-1] not in STAMPS | set("xyzwt") and (_unit(words[-1]) or words[-1] in RATES):
+        words, unit = words[:-1], unit or _unit(words[-1]) or words[-1]
     return words, unit
 
 

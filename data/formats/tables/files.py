@@ -24,7 +24,7 @@ from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import ELEMENT, columns_of, is_arrays
 from data.formats.messages import cut_end, file_and_word, kinds_of, numbered_rows, parts_of, whole_names, with_word
-from data.formats.results.reading import role_of, topics_in, words_of
+from data.formats.results.reading import RATES, role_of, topics_in, words_of
 from data.inputs import IntArray
 from data.notice import Notice
 from data.origin import Origin
@@ -76,7 +76,7 @@ class TextTable:
     def described(self) -> str:
         """The columns in a message."""
         if not self.named:
-            return f"columns 1 to {len(self.names)}, without names"
+            return f"columns 1 to {len(self.names)}, without names{kinds_of(self.path, self.rows)}"
         if len(topics := [topic for topic in topics_in(self.names) if topic.startswith("/")]) > 1:
             return f"topics {', '.join(topics)}, as in {self.path}:{topics[0]}"
         runs = [list(run) for _, run in groupby(self.names, key=stem_of)]
@@ -302,7 +302,6 @@ def stars(file: TextTable) -> dict[str, str]:
 ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 DIMENSIONS = {"length": LENGTH | {"mi": 1609.344, "nmi": 1852.0}, "angle": ANGLE, "time": TIME}
-RATES = {"kmh": "km/h", "kph": "km/h", "mph": "mi/h", "kn": "nmi/h", "rpm": "rev/min", "dps": "deg/s"}  # Names
 
 STAMPS = ("t", "t1", "t2")
 INSTANTS = {*STAMPS, "frame", "frame1"}
@@ -471,6 +470,8 @@ class Columns:
         if quantity == "t":  # not the time of recording
             also = [c for c in also if (file.path, c) not in self.intervals]
             also = [c for c in also if "header" in file.names[c]] or also
+        if len({read[c] for c in also}) == 1 and all(words_of(file.names[c])[1] for c in also):
+            also = also[:1]  # in another unit
         if len(also) != 1:
             return self.find(file, role, EARTH[quantity]) if quantity in EARTH and role in ON_EARTH else None
         note = f"{file.path.name}: {quantity} of {role} is read from {file.names[also[0]]}"

@@ -17,10 +17,9 @@ from data.se2 import Array
 
 WORDS = {"odometry": ("odo", "control", "input"), "truth": ("tru", "real", "gt")}
 """Parts of names of matrices, of which one is taken among several that might be a role's."""
+LARGEST = 3.0 * np.pi  # rad, a direction of half a turn less a heading of one: bearings that were not wrapped
 SPANS = (1, 4, 16)  # Observations of a landmark between two that are compared
 CLEAR = 0.7  # Largest share of the next reading's spread: of 360 simulated tables 260 were read so, none wrong
-
-Path = tuple[Array, Array]  # stamps (K,) s and poses (K, 3)
 
 
 def by_layout(file: TextTable, role: str) -> tuple[TextTable, str] | None:
@@ -56,7 +55,8 @@ def _names(rows: Sequence[tuple[str, ...]], role: str) -> tuple[str, ...]:
     values = np.array(rows, float)
     if role == "map":
         ids = values[:, 0]
-        return ("id", "x", "y") if values.shape[1] == 3 and _whole(ids) and len(np.unique(ids)) == len(ids) else ()
+        whole = values.shape[1] == 3 and (ids == np.abs(np.round(ids))).all()
+        return ("id", "x", "y") if whole and len(np.unique(ids)) == len(ids) else ()
     last = np.append(np.diff(values[:, 0]) != 0.0, True)  # of equal stamps
     path = only_reading([row for row, taken in zip(rows, last.tolist(), strict=True) if taken])
     if "yaw" in path:
@@ -65,16 +65,19 @@ def _names(rows: Sequence[tuple[str, ...]], role: str) -> tuple[str, ...]:
     return ("t", "v", "omega") if velocities else ()
 
 
-def seen_by_layout(file: TextTable, path_of: Callable[[], Path | None]) -> tuple[TextTable, str, dict[str, str]] | None:
+def seen_by_layout(
+    file: TextTable, path_of: Callable[[], tuple[Array, Array] | None]
+) -> tuple[TextTable, str, dict[str, str]] | None:
     """Observations with names, what says so, and units by quantity: stamp, then id and two numbers once or several
-    times, which keep landmarks in one place along a path. None where this holds of no reading alone.
+    times. These keep landmarks in one place along a path, stamps (K,) [s] and poses (K, 3), in one reading alone; else
+    None.
     """
     for part in _parts(file):
         values = np.array(part.rows, float)
         if values.shape[1] < 4 or values.shape[1] % 3 != 1 or (np.diff(values[:, 0]) < 0.0).any():
             continue
         each = values[:, 1:].reshape(-1, 3)
-        ids = [j for j in range(3) if _whole(each[:, j])]
+        ids = [j for j in range(3) if (each[:, j] == np.abs(np.round(each[:, j]))).all()]
         if len(ids) != 1:
             continue
         if (path := path_of()) is None:
@@ -100,9 +103,6 @@ def seen_by_layout(file: TextTable, path_of: Callable[[], Path | None]) -> tuple
     return None
 
 
-LARGEST = 3.0 * np.pi  # rad, a direction of half a turn less a heading of one: bearings that were not wrapped
-
-
 def _spread(place: Array, local: Array, label: Array) -> float:
     """Mean distance between places (N, 2) of a landmark, relative to how far it is from the sensor."""
     off = []
@@ -110,7 +110,3 @@ def _spread(place: Array, local: Array, label: Array) -> float:
         own = place[label == name]
         off += [np.hypot(*(own[span:] - own[:-span]).T) for span in SPANS if span < len(own)]
     return float(np.mean(np.concatenate(off)) / np.mean(np.hypot(*local.T))) if off else np.inf
-
-
-def _whole(values: Array) -> bool:
-    return bool((values == np.round(values)).all() and (values >= 0.0).all())

@@ -43,7 +43,7 @@ def converted(convert):
 
 
 def test_speed_and_steering_of_a_car(converted):
-    odometry = text("time,speed,steer_deg", T, V, np.rad2deg(STEERING))
+    odometry = text("time,velocity_mps,steer_rad,steer_deg", T, V, STEERING, np.rad2deg(STEERING))
     assert "--wheel-base" in converted(odometry, status=2)
     log, said = converted(odometry, "--wheel-base", "50cm")
     assert "warning" not in said
