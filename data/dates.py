@@ -3,7 +3,9 @@
 import re
 from datetime import UTC, datetime
 
-DATE = re.compile(r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?-[A-Za-z]{3}-\d{4}|\d\d?:\d\d:\d\d)(\D|$)")  # How they begin
+DATE = re.compile(
+    r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d{8}(?=T)|\d{4}-?W\d\d|\d\d?-[A-Za-z]{3}-\d{4}|\d\d?:\d\d:\d\d)(\D|$)"
+)  # How they begin
 ISO = "iso"  # Unit of time of dates
 EXAMPLE = "2024-05-01T12:00:00.5"
 IN_SECONDS = "in s since 1970 (UTC where no zone is written; times of day since midnight)"

@@ -441,16 +441,15 @@ def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:
         most = max(size for q, size in largest.items() if q not in COUNTED)
         return [Agreement(world, len(each), measured, most, allowed)]
     mine = numbers(given, right[: len(given)])
-    bug = likely(world, task, mine)
     order = sorted(begin, key=lambda q: (begin[q], list(Quantity).index(q)))
-    facts: list[Fact] = []
     first = begin.get(Quantity.LANDMARKS, 0)
     # landmarks that are elsewhere as soon as there are any were initialized elsewhere, which no update explains
-    if order[:1] == [Quantity.LANDMARKS] and not any(len(s.number) for s in right[:first]):
-        mine, bug = mine[:0], None
+    elsewhere = order[:1] == [Quantity.LANDMARKS] and not any(len(s.number) for s in right[:first])
+    bug = None if elsewhere else likely(world, task, mine)
+    facts: list[Fact] = []
     for q in order:
         observed, limit = len(frames[begin[q]][1]) > 0, 0.0 if q in COUNTED else allowed
-        own = bug or (likely(world, task, mine, q) if len(mine) else None)
+        own = bug if bug or elsewhere else likely(world, task, mine, q)
         facts.append(Deviation(world, q, begin[q], observed, q is order[0], largest[q], limit, own, exact))
     return facts if stop is None else [*facts, Stopped(world, len(given), str(stop), bug)]
 

@@ -34,7 +34,6 @@ from data.terminal import counted
 
 SEPARATORS = (";", "\t", ",", " ")  # In this order, since a decimal comma is no separator beside a semicolon or a tab
 COMMENT = ("#", "%")
-DATE = re.compile(r"\d{4}-?(?:\d\d|W)")  # How dates in ISO 8601 begin
 NAMES_SHOWN = 200  # Most characters of a header in a message
 
 
@@ -111,7 +110,7 @@ def _number(field: str, *, comma: bool = False) -> float:
 def _is_row(fields: Sequence[str]) -> bool:
     """Whether at least half of a line's non-blank fields are numbers or dates."""
     filled = [f for f in fields if f]
-    values = sum(is_number(f.replace(",", ".")) or DATE.match(f) is not None or is_date(f) for f in filled)
+    values = sum(is_number(f.replace(",", ".")) or is_date(f) for f in filled)
     return bool(filled) and 2 * values >= len(filled)
 
 
