@@ -46,8 +46,14 @@ PRIORS = {"EDGE_PRIOR_SE2": 3, "EDGE_PRIOR_SE2_XY": 2, "EDGE_SE3_PRIORXYZ": 3}  
 IN_SPACE = "EDGE_SE3_PRIORXYZ"
 OFFSETS = {"PARAMS_SE3OFFSET": 7, "PARAMS_SE2OFFSET": 3}
 TEXT = ("ODOMETRY", "CONSTRAINT", "CONSTRAINT2", "LANDMARK")  # in any case
+TUTORIAL = {
+    "TUTORIAL_VERTEX_SE2": "VERTEX_SE2", "TUTORIAL_VERTEX_POINT_XY": "VERTEX_XY", "TUTORIAL_EDGE_SE2": "EDGE_SE2",
+    "TUTORIAL_EDGE_SE2_POINT_XY": "EDGE_SE2_POINTXY_OFFSET", "TUTORIAL_PARAMS_SE2_OFFSET": "PARAMS_SE2OFFSET",
+}  # fmt: skip
+"""Types of g2o's tutorial, and those with the same values."""
 INFORMATION, COVARIANCE, ROOT = NOISES = ("information", "covariance", "root")  # What the noise of text states
 TORO = [0, 1, 4, 2, 5, 3]  # places of I11 I12 I13 I22 I23 I33 among the six of an EDGE2
+MOST_TAGS = 8  # of a file's own that a refusal lists
 LONG = 40  # characters; Python reads no whole number of thousands
 MOST_IDS = 2**63  # ids are below: keys of gtsam, too
 HUGE = 1e30  # the largest number: the information of a sigma of 1e-15
@@ -149,8 +155,9 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
         more = f"; so are those of {n} of {total} edges" * (n > 1)
         raise DataError(f"{indefinite[0]}{more}")
     if not graph.edges and not (bare and graph.poses):
-        tags = ", ".join(EDGES)
-        raise DataError.at(path, f"no edge of a graph; lines of g2o or Toro are needed, with a tag of {tags}")
+        own = Counter(w[0][:LONG] for _, w in words if w[0][0].isalpha()).most_common(MOST_TAGS)
+        has = f"no edge of a graph among {', '.join(f'{n} {tag}' for tag, n in own)}" if own else "no edge of a graph"
+        raise DataError.at(path, f"{has}; lines of g2o or Toro are needed, with a tag of {', '.join(EDGES)}")
     alone = bool(graph.edges) and len(graph.poses) == 1
     if alone:
         _begin(graph)
@@ -178,8 +185,8 @@ def _begin(graph: GraphFile) -> None:
 
 
 def known_tag(tag: str) -> str:
-    """The tag as it is known: those of text are written in any case."""
-    return tag.upper() if tag.upper() in TEXT else tag
+    """The tag as it is known: those of text are written in any case, those of g2o's tutorial are others' equals."""
+    return tag.upper() if tag.upper() in TEXT else TUTORIAL.get(tag, tag)
 
 
 def _layout(words: list[tuple[int, list[str]]]) -> tuple[bool, str]:

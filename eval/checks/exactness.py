@@ -36,10 +36,10 @@ Bug = StrEnum(
     "R_DIAGONAL R_OF_THE_FIRST JACOBIAN_STALE JACOBIAN_NO_HEADING JACOBIAN_SIGN_OF_HEADING JACOBIAN_NO_LANDMARK "
     "INNOVATION_NOT_WRAPPED OBSERVATIONS_UNCORRELATED COVARIANCE_NOT_UPDATED MEAN_NOT_UPDATED MEAN_OF_MAP_NOT_UPDATED "
     "CROSS_NOT_UPDATED JOSEPH_WITHOUT_NOISE NEW_WITHOUT_CROSS NEW_HALF_CROSS NEW_CROSS_TO_POSE_ONLY NEW_WITHOUT_NOISE "
-    "NEW_WITHOUT_POSE NEW_NOISE_NOT_TURNED NEW_NO_HEADING NEW_FROM_PREDICTION FIRST_DROPPED LAST_DROPPED "
-    "EVERY_SECOND_DROPPED ALL_DROPPED DISCARDED_USED POSE_IN_BODY_FRAME JOINT_UNCORRELATED JOINT_PERMUTED "
-    "EXPECTED_WITH_NOISE EXPECTED_WITHOUT_LANDMARK EXPECTED_BEFORE_MOTION NIS_IS_DOF NIS_OF_RESIDUALS "
-    "NIS_WITHOUT_STATE NIS_WITHOUT_NOISE NIS_UNCORRELATED",
+    "NEW_WITHOUT_POSE NEW_NOISE_NOT_TURNED NEW_NO_HEADING NEW_FROM_PREDICTION NEW_FIXED NEW_FIXED_CORRECTED "
+    "FIRST_DROPPED LAST_DROPPED EVERY_SECOND_DROPPED ALL_DROPPED DISCARDED_USED POSE_IN_BODY_FRAME "
+    "JOINT_UNCORRELATED JOINT_PERMUTED EXPECTED_WITH_NOISE EXPECTED_WITHOUT_LANDMARK EXPECTED_BEFORE_MOTION NIS_IS_DOF "
+    "NIS_OF_RESIDUALS NIS_WITHOUT_STATE NIS_WITHOUT_NOISE NIS_UNCORRELATED",
 )  # mistakes in a Kalman filter; `templates/checks.j2` has the words
 
 Change = Callable[[Array], Array]
@@ -64,6 +64,7 @@ class Rules:
     Gx: Change = same  # (2, 3) of a new landmark
     Gz: Change = same  # (2, 2)
     S: Change = same  # (2k, 2k)
+    fixed: float = math.nan  # m^2, variances of a new landmark that is uncorrelated; NaN: as propagated
     used: Callable[[IntArray], IntArray] = field(default=lambda rows: rows)
     joint: Change = same  # as the association method gets it
     joseph: bool = False  # the covariance's update for any gain, instead of the one for the optimal gain
@@ -108,7 +109,10 @@ def _of_noise(change: Change) -> Changes:
     return {"R": change, "R_new": change}, {"R": change}
 
 
+FIXED: Changes = tuple({"fixed": v} for v in (1e-3, 0.01, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 10.0, 25.0, 100.0))
 CHANGES: dict[Bug, Changes] = {
+    Bug.NEW_FIXED: FIXED,
+    Bug.NEW_FIXED_CORRECTED: FIXED,
     Bug.PRIOR_IGNORED: ({"prior": scaled(0.0)},),
     Bug.Q_NONE: ({"Q": scaled(0.0)},),
     Bug.Q_DOUBLED: ({"Q": scaled(2.0)},),
@@ -303,7 +307,11 @@ class Kalman:
         cross = cross * (parts.get(r.mistake, 1.0) if r.mistake else 1.0)
         if r.mistake is Bug.NEW_CROSS_TO_POSE_ONLY:
             cross[:, 3:] = 0.0
+        if not math.isnan(r.fixed):
+            cross, own = 0.0 * cross, r.fixed * np.eye(2)
         self.x, self.P = np.concatenate([self.x, xy]), np.block([[self.P, cross.T], [cross, own]])
+        if r.mistake is Bug.NEW_FIXED_CORRECTED:
+            self._correct(z[None], R[None], np.array([(d - 3) // 2]))
 
     def state(self, expected: Expected | None, decided: IntArray, used: IntArray = NONE, nis: float = np.nan) -> State:
         """What it says at the end of a frame."""
@@ -377,6 +385,8 @@ class Deviation:
     allowed: float
     bug: Bug | None  # mistake with the same consequences, if one is known
     exact: bool  # whether the estimator claims to be exact
+    new_alone: bool = False  # whether all that is observed in that frame initializes landmarks
+    linear_alone: bool = False  # whether the other world agrees so far, so that a sensor of its own may be the cause
 
 
 @dataclass(frozen=True)
@@ -403,8 +413,13 @@ def exactness(text: str, task: str) -> Iterator[Finding]:
     """All that an estimator says about two small worlds is as the exact filter has it: one finding each."""
     # a foreign one claims it unless `exact = False`; ours in `INCREMENTAL` leave out changes below a limit
     exact = bool(getattr(load(text).thing, "exact", True)) if is_foreign(text) else text not in INCREMENTAL
-    for world in (worlds.LINEAR, worlds.MILD) if exact else (worlds.MILD,):
-        facts = compared(text, task, world, exact=exact)
+    both = {w: compared(text, task, w, exact=exact) for w in (worlds.LINEAR, worlds.MILD)[not exact :]}
+    off = {(w, f.quantity, f.frame) for w, facts in both.items() for f in facts if isinstance(f, Deviation)}
+    for world, found in both.items():
+        facts = [
+            replace(f, linear_alone=world == worlds.LINEAR and (worlds.MILD, f.quantity, f.frame) not in off)
+            if isinstance(f, Deviation) else f for f in found
+        ]  # fmt: skip
         yield Finding(f"{world} world", isinstance(facts[0], Agreement), sentences(facts), facts)
 
 
@@ -448,9 +463,10 @@ def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:
     bug = None if elsewhere else likely(world, task, mine)
     facts: list[Fact] = []
     for q in order:
-        observed, limit = len(frames[begin[q]][1]) > 0, 0.0 if q in COUNTED else allowed
+        chosen, limit = frames[begin[q]][1], 0.0 if q in COUNTED else allowed
         own = bug if bug or elsewhere else likely(world, task, mine, q)
-        facts.append(Deviation(world, q, begin[q], observed, q is order[0], largest[q], limit, own, exact))
+        new = NEW in chosen and not (chosen >= 0).any()
+        facts.append(Deviation(world, q, begin[q], len(chosen) > 0, q is order[0], largest[q], limit, own, exact, new))
     return facts if stop is None else [*facts, Stopped(world, len(given), str(stop), bug)]
 
 

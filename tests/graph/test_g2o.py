@@ -365,6 +365,11 @@ def test_a_point_that_a_sensor_with_an_offset_sees_is_where_it_is(written):
     off = compose(inverse(pose), point)[:2] - z
     rest = squares(read_graph_file(written(VERTICES + EDGES, "rest.g2o")))
     assert squares(read_graph_file(path)) - rest == pytest.approx(off @ np.diag([25.0, 4.0]) @ off)
+    own = path.read_text().replace("EDGE_SE2_POINTXY_OFFSET", "EDGE_SE2_POINT_XY").replace("SE2OFFSET", "SE2_OFFSET")
+    lines = [f"TUTORIAL_{line}" for line in own.replace("VERTEX_XY", "VERTEX_POINT_XY").splitlines()]
+    tutorial = read_graph_file(written("\n".join(lines), "tutorial.g2o"))
+    assert squares(tutorial) == pytest.approx(squares(read_graph_file(path)), rel=1e-12)
+    assert with_information(tutorial, {}, set()).splitlines() == lines
     with pytest.raises(DataError, match="no PARAMS_SE2OFFSET 3"):
         read_graph(written(text + "EDGE_SE2_POINTXY_OFFSET 1 9 3 2.0 1.0 25 0 4\n"))
 

@@ -451,7 +451,7 @@ def statistics(
     alone = min(independent(drawn), tested) if len(drawn) and tested else tested
     together, all_ = factors.clusters(f, seen, t.deleted, t.rank, np.flatnonzero(of.loops).tolist(), metres)
     level, robust = np.log(factors.PARTS[0] * factors.FAMILY / max(alone, 1)), t.weight < 1.0
-    told("tested", rejected=int((t.log_p < level).sum()), factors=tested)
+    told("tested", rejected=int((t.log_p < level).sum()), factors=tested, freedom=system.rows - f.rank)
     left = np.flatnonzero(robust & (t.log_p < level))
     rest, wrong = without(system, left, order) if robust.any() else f, None
     agreeing = min((c.log_p for c in together), default=0.0) < factors.cluster_level(all_)

@@ -38,8 +38,8 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 SOON = 5.0  # s, until which no stage is told
 STAGES = {
     "opened": "{factors} factors of {variables} variables; now the optimum",
-    "optimized": "at the optimum, sum of squares {chi2:.4g} on {freedom} degrees of freedom; now each factor",
-    "tested": "{rejected} of {factors} factors are rejected by all others",
+    "optimized": "at the optimum, sum of squares {chi2:.4g}; now each factor",
+    "tested": "{rejected} of {factors} factors are rejected by all others; {freedom} degrees of freedom",
     "searched": "search for wrong factors, step {step} of at most {steps} (--steps); {left} left out",
 }
 

@@ -105,6 +105,7 @@ class AuditReport:
     minima: tuple[Second, ...] = ()
     questions: tuple[Question, ...] = ()
     unread: tuple[str, ...] = ()
+    held: int = 0  # directions of the gauge that a fixed vertex ties
 
     @property
     def clusters(self) -> pd.DataFrame:
@@ -356,7 +357,7 @@ def _facts(report: AuditReport) -> SimpleNamespace:
         unchecked=len(unchecked),
         unchecked_kinds=tuple(f"{n} of {int(kinds.loc[k, 'n'])} {k}" for k, n in Counter(unchecked["kind"]).items()),
         hidden=None if missed.empty else _in_words(missed.iloc[0], missed.index[0]),
-        gauge=a.condition.gauge,
+        gauge=max(a.condition.gauge - report.held, 0),
         scale=a.condition.scale,
         # name, directions, whether it moves, and turns, and the number of the one factor that ties it, or -1
         loose=tuple((name(a.f.system.keys[f[0]]), *f[1:], only[f[0]]) for f in a.condition.loose),

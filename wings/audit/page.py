@@ -18,7 +18,7 @@ from data.origin import Origin
 from data.se2 import Array
 from wings.audit.audit import DRAWS, LOG_FAMILY, TURNS, Audit, Told, examined, places, unheard
 from wings.audit.examined import AuditReport, Second, reported
-from wings.audit.files import EDGES, LAST_FIRST, build, built_by, optimized, other_starts
+from wings.audit.files import EDGES, LAST_FIRST, build, built_by, optimized, other_starts, point_key
 from wings.audit.linear import Graph, Values, name, value_of
 
 LARGEST, SMALL = 6000, 2000  # factors up to which other starts are tried, and the graph is solved without a factor
@@ -69,11 +69,13 @@ def _of_file(
     if optimize:  # of several minima the lowest is examined
         ends = _ends(file, graph, values)
         values = min(ends.values(), key=graph.error)
-        told("optimized", chi2=2.0 * graph.error(values), freedom=rows_of(graph) - sum(values.dims().values()))
+        told("optimized", chi2=2.0 * graph.error(values))
     report = _reported(audit(graph, values, names), graph, values, resolve)
     unread = tuple(f"{count} {tag}" for tag, count in file.other.items())
     minima = _minima(ends, graph, values, report)
-    return Opened(replace(report, minima=minima, unread=unread), graph, values, file)
+    (fixed,) = file.fixed if len(file.fixed) == 1 and not file.priors else (None,)
+    held = 0 if fixed is None else values.dims().get(fixed if fixed in file.poses else point_key(fixed), 0)
+    return Opened(replace(report, minima=minima, unread=unread, held=held), graph, values, file)
 
 
 def rows_of(graph: Graph) -> int:

@@ -39,6 +39,14 @@ def test_a_mistake_is_one_sentence_that_names_what_follows_from_it():
         assert "; so are " in found.sentence
 
 
+def test_what_is_off_before_any_pairing_is_put_down_to_new_landmarks_and_not_to_a_sensor_of_its_own():
+    mutant, _ = MUTANTS["new-with-two-variances"]
+    for found in exactness.exactness(text_of(mutant, "estimator"), "slam"):
+        assert "pose covariance off" in found.sentence
+        assert "new landmarks alone" in found.sentence
+        assert "of your own" not in found.sentence
+
+
 @pytest.mark.parametrize(
     "name", ["R-doubled", "stale-Jacobians", "no-wrap", "NIS-is-dof", "body-frame", "last-dropped"]
 )

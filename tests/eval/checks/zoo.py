@@ -1,5 +1,7 @@
 """Wrong estimators, each a right one with one mistake, and what the check should suspect; and sound approximations."""
 
+from types import SimpleNamespace
+
 import numpy as np
 from scipy.linalg import block_diag
 
@@ -50,6 +52,12 @@ def pose_alone(self, Gx, Gz, R):
     cross, own = Plain.founded(self, Gx, Gz, R)
     cross[:, 3:] = 0.0
     return cross, own
+
+
+def fixed_and_corrected(self, z, R, start=1.0):
+    self.x = np.append(self.x, self.sensor.inverse(self.x[:3], z[None])[0][0])
+    self.P = block_diag(self.P, start * np.eye(2))
+    Plain.update(self, SimpleNamespace(z=z[None], R=R[None]), np.array([(len(self.x) - 5) // 2]))
 
 
 def noise_alone(self, Gx, Gz, R):
@@ -161,6 +169,9 @@ MUTANTS = {
     "new-with-R-alone": (mutant(founded=noise_alone), Bug.NEW_WITHOUT_POSE),
     "new-with-R-unturned": (mutant(founded=unturned), Bug.NEW_NOISE_NOT_TURNED),
     "new-without-heading": (mutant(Gx=lambda s, G: G * [1, 1, 0]), Bug.NEW_NO_HEADING),
+    "new-with-the-identity": (mutant(founded=lambda s, Gx, Gz, R: (0 * Gx @ s.P[:3], np.eye(2))), Bug.NEW_FIXED),
+    "new-with-the-identity-then-corrected": (mutant(found=fixed_and_corrected), Bug.NEW_FIXED_CORRECTED),
+    "new-with-two-variances": (mutant(found=lambda s, z, R: fixed_and_corrected(s, z, R, [0.02, 3])), None),
     "first-dropped": (mutant(chosen=lambda s, rows: rows[1:]), Bug.FIRST_DROPPED),
     "last-dropped": (mutant(chosen=lambda s, rows: rows[:-1]), Bug.LAST_DROPPED),
     "every-second-dropped": (mutant(chosen=lambda s, rows: rows[::2]), Bug.EVERY_SECOND_DROPPED),

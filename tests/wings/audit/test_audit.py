@@ -379,7 +379,7 @@ def test_stages_are_told_and_a_search_has_a_bound(tmp_path, capsys, monkeypatch)
     page.opened(place, None, draws=0, told=lambda stage, **numbers: said.append((stage, numbers)))
     assert [name for name, _ in said[:4]] == ["opened", "optimized", "tested", "searched"]
     assert said[0][1] == {"factors": 140, "variables": 81}
-    assert said[1][1]["freedom"] == 3 * 140 - 3 * 81
+    assert said[2][1]["freedom"] == 3 * 140 - 3 * (81 - 1)  # as the page counts: without the gauge
     assert said[2][1]["rejected"] >= 1
     del said[:]
     page.opened(place, None, draws=0, steps=0, told=lambda stage, **_: said.append(stage))

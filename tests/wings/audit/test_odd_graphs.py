@@ -96,7 +96,14 @@ def test_a_mark_of_byte_order_and_odd_spaces_are_read(plain, tmp_path):
 def test_lines_that_are_not_read_are_told(plain, tmp_path):
     path = tmp_path / "g.g2o"
     path.write_text("\n".join([*lines_of(*plain), "EDGE_SIM3 0 1 2", "EDGE_SIM3 1 2 2"]))
-    assert "Not read, as their tags are unknown: 2 EDGE_SIM3." in page.opened(str(path), False, 0).report.words()
+    words = page.opened(str(path), False, 0).report.words()
+    assert "Not read, as their tags are unknown: 2 EDGE_SIM3." in words
+    assert "Gauge freedom: nothing ties the whole graph in 3 directions." in words
+    path.write_text("\n".join([*lines_of(*plain), "FIX 3"]))
+    assert "Gauge freedom" not in page.opened(str(path), False, 0).report.words()
+    path.write_text("VERTEX_CAM 0 0 0\nEDGE_SIM3 0 1 2\nEDGE_SIM3 1 2 2\n")
+    with pytest.raises(DataError, match="no edge of a graph among 2 EDGE_SIM3, 1 VERTEX_CAM; "):
+        page.opened(str(path), False, 0)
 
 
 def astray(key):
