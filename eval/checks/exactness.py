@@ -32,14 +32,15 @@ from eval.replay.settings import INCREMENTAL
 Bug = StrEnum(
     "Bug",
     "PRIOR_IGNORED Q_NONE Q_DOUBLED Q_HALVED Q_ROOT Q_SQUARED Q_DIAGONAL Q_NOT_TURNED Q_TURNED_LATE MOTION_NOT_TURNED "
-    "MOTION_JACOBIAN_NONE MOTION_JACOBIAN_SIGN CROSS_NOT_PREDICTED R_NONE R_DOUBLED R_HALVED R_ROOT R_SQUARED "
-    "R_DIAGONAL R_OF_THE_FIRST JACOBIAN_STALE JACOBIAN_NO_HEADING JACOBIAN_SIGN_OF_HEADING JACOBIAN_NO_LANDMARK "
-    "INNOVATION_NOT_WRAPPED OBSERVATIONS_UNCORRELATED COVARIANCE_NOT_UPDATED MEAN_NOT_UPDATED MEAN_OF_MAP_NOT_UPDATED "
-    "CROSS_NOT_UPDATED JOSEPH_WITHOUT_NOISE NEW_WITHOUT_CROSS NEW_HALF_CROSS NEW_CROSS_TO_POSE_ONLY NEW_WITHOUT_NOISE "
-    "NEW_WITHOUT_POSE NEW_NOISE_NOT_TURNED NEW_NO_HEADING NEW_FROM_PREDICTION NEW_FIXED NEW_FIXED_CORRECTED "
-    "FIRST_DROPPED LAST_DROPPED EVERY_SECOND_DROPPED ALL_DROPPED DISCARDED_USED POSE_IN_BODY_FRAME "
-    "JOINT_UNCORRELATED JOINT_PERMUTED EXPECTED_WITH_NOISE EXPECTED_WITHOUT_LANDMARK EXPECTED_BEFORE_MOTION NIS_IS_DOF "
-    "NIS_OF_RESIDUALS NIS_WITHOUT_STATE NIS_WITHOUT_NOISE NIS_UNCORRELATED",
+    "MOTION_NOT_SIDEWAYS MOTION_JACOBIAN_NONE MOTION_JACOBIAN_SIGN CROSS_NOT_PREDICTED R_NONE R_DOUBLED R_HALVED "
+    "R_ROOT R_SQUARED R_DIAGONAL R_OF_THE_FIRST JACOBIAN_STALE JACOBIAN_NO_HEADING JACOBIAN_SIGN_OF_HEADING "
+    "JACOBIAN_NO_LANDMARK INNOVATION_NOT_WRAPPED OBSERVATIONS_UNCORRELATED COVARIANCE_NOT_UPDATED MEAN_NOT_UPDATED "
+    "MEAN_OF_MAP_NOT_UPDATED CROSS_NOT_UPDATED JOSEPH_WITHOUT_NOISE NEW_WITHOUT_CROSS NEW_HALF_CROSS "
+    "NEW_CROSS_TO_POSE_ONLY NEW_WITHOUT_NOISE NEW_WITHOUT_POSE NEW_NOISE_NOT_TURNED NEW_NO_HEADING "
+    "NEW_FROM_PREDICTION NEW_FIXED NEW_FIXED_CORRECTED FIRST_DROPPED LAST_DROPPED EVERY_SECOND_DROPPED ALL_DROPPED "
+    "DISCARDED_USED POSE_IN_BODY_FRAME JOINT_UNCORRELATED JOINT_PERMUTED EXPECTED_WITH_NOISE "
+    "EXPECTED_WITHOUT_LANDMARK EXPECTED_BEFORE_MOTION NIS_IS_DOF NIS_OF_RESIDUALS NIS_WITHOUT_STATE NIS_WITHOUT_NOISE "
+    "NIS_UNCORRELATED",
 )  # mistakes in a Kalman filter; `templates/checks.j2` has the words
 
 Change = Callable[[Array], Array]
@@ -55,6 +56,7 @@ class Rules:
     """How the filter works; the defaults are right. Matrices are changed by functions, parts by their name."""
 
     prior: Change = same
+    mean: Change = same  # (3,) of an increment
     Q: Change = same
     R: Change = same  # (m, 2, 2) in the update
     R_new: Change = same  # (2, 2) of a new landmark
@@ -120,6 +122,11 @@ CHANGES: dict[Bug, Changes] = {
     Bug.Q_ROOT: ({"Q": root},),
     Bug.Q_SQUARED: ({"Q": np.square},),
     Bug.Q_DIAGONAL: ({"Q": diagonal},),
+    Bug.MOTION_NOT_SIDEWAYS: tuple(
+        {"mean": mean, "Q": Q}
+        for mean in (scaled(1.0, 0.0, 1.0), lambda m: np.array([np.hypot(*m[:2]), 0.0, m[2]]))
+        for Q in (same, lambda Q: Q * np.outer([1.0, 0.0, 1.0], [1.0, 0.0, 1.0]))
+    ),
     Bug.MOTION_JACOBIAN_NONE: ({"F": lambda F: np.eye(3)},),
     Bug.MOTION_JACOBIAN_SIGN: ({"F": lambda F: 2.0 * np.eye(3) - F},),
     Bug.R_NONE: _of_noise(scaled(0.0)),
@@ -156,13 +163,11 @@ class Expected:
     """Candidates (n,) of observations (m,), as an association method gets them."""
 
     number: IntArray  # (n,) landmark numbers
-    # z_hat: (n, 2); joint: (2n, 2n), covariance of all of them, without noise; blocks: (n, 2, 2), of each
-    z_hat: Array
-    joint: Array
-    blocks: Array
-    # innovations: (m, n, 2), wrapped; R: (m, 2, 2), noise of the observations
-    innovations: Array
-    R: Array
+    z_hat: Array  # (n, 2)
+    joint: Array  # (2n, 2n), covariance of all of them, without noise
+    blocks: Array  # (n, 2, 2), of each
+    innovations: Array  # (m, n, 2), wrapped
+    R: Array  # (m, 2, 2), noise of the observations
     decided: IntArray | None = None  # (m,) by JCBB; None: not formed
 
 
@@ -174,13 +179,11 @@ class State:
     decisions: IntArray  # (m,) handed to the update
     used: IntArray  # rows (k,) of the observations that it claims to have used
     nis: float  # as it states it; NaN: it does not
-    # pose: (3,); covariance: (3, 3) of it, NaN: none
-    pose: Array
-    covariance: Array
-    # number, xy, blocks: landmarks (L,), (L, 2), (L, 2, 2); empty in localization
-    number: IntArray
-    xy: Array
-    blocks: Array
+    pose: Array  # (3,)
+    covariance: Array  # (3, 3), NaN: none
+    number: IntArray  # landmarks (L,), none in localization
+    xy: Array  # (L, 2)
+    blocks: Array  # (L, 2, 2)
 
 
 NONE = np.empty(0, np.int64)
@@ -197,7 +200,7 @@ class Kalman:
     def predict(self, mean: Array, covariance: Array) -> None:
         """Move by an increment (3,) with covariance (3, 3)."""
         r, d = self.rules, len(self.x)
-        self.before = self.x[:3].copy()
+        self.before, mean = self.x[:3].copy(), r.mean(mean)
         moved = compose(self.x[:3], mean)
         if r.mistake is Bug.MOTION_NOT_TURNED:
             moved = self.x[:3] + mean
@@ -364,25 +367,21 @@ class Agreement:
     world: str  # `worlds.LINEAR` or `worlds.MILD`
     frames: int  # number of frames compared
     quantities: tuple[Quantity, ...]  # compared
-    # largest: difference [sigma]; allowed: [sigma]
-    largest: float
-    allowed: float
+    largest: float  # difference [sigma]
+    allowed: float  # [sigma]
 
 
 @dataclass(frozen=True)
 class Deviation:
     """A quantity is not as the exact filter has it."""
 
-    # world, quantity: where and what
     world: str
     quantity: Quantity
-    # frame: first frame beyond what is allowed; observed: whether that frame has observations
-    frame: int
-    observed: bool
+    frame: int  # the first beyond what is allowed
+    observed: bool  # whether that frame has observations
     first: bool  # whether no other quantity is beyond it earlier
-    # largest: difference [sigma], or number of candidates or observations; allowed: as that
-    largest: float
-    allowed: float
+    largest: float  # difference [sigma], or number of candidates or observations
+    allowed: float  # of the largest
     bug: Bug | None  # mistake with the same consequences, if one is known
     exact: bool  # whether the estimator claims to be exact
     new_alone: bool = False  # whether all that is observed in that frame initializes landmarks
@@ -427,8 +426,9 @@ def sentences(facts: Sequence[Fact]) -> str:
     """A sentence for each mistake: the fact that shows it first, and which others follow from it."""
     wrong = [f for f in facts if not isinstance(f, Agreement)]
     named = {f.bug for f in wrong if f.bug is not None}
-    if len(named) == 1:  # it explains the rest, too
-        wrong = [replace(f, bug=min(named)) for f in wrong]
+    if len(named) == 1:  # it explains the rest, too, unless that began before
+        since = min(f.frame for f in wrong if f.bug is not None)
+        wrong = [replace(f, bug=min(named)) if f.frame >= since else f for f in wrong]
     said = []
     for bug in dict.fromkeys(f.bug for f in wrong):
         first, *others = (f for f in wrong if f.bug is bug)

@@ -186,9 +186,8 @@ class Contradicting:
 
     left: IntArray  # their numbers
     f: linear.Factored  # the system without them, around its own minimum
-    # T, rank: (F,) of each factor beside the rest; rank 0 where nothing sees it
-    T: Array
-    rank: IntArray
+    T: Array  # (F,) of each factor beside the rest
+    rank: IntArray  # (F,) of T; 0 where nothing sees the factor
     excess: float  # sum of squares of the rest minus its degrees of freedom
     errors: int  # number of errors; loops between the same two places are one
 
@@ -350,9 +349,8 @@ class Condition:
     """Findings about the structure of a graph."""
 
     parts: tuple[int, ...]  # numbers of variables of the connected parts, largest first
-    # gauge, scale: directions in which whole parts can move; how many of them are scales
-    gauge: int
-    scale: int
+    gauge: int  # directions in which whole parts can move
+    scale: int  # how many of them are scales
     loose: tuple[Loose, ...]  # variables that nothing ties in some directions
     duplicates: tuple[tuple[int, int], ...]  # pairs of factors with equal variables, residuals and Jacobians
 
@@ -364,20 +362,15 @@ class Statistics:
     keys: Sequence[tuple[int, ...]]  # (F,) of each factor; empty in an empty slot
     kinds: Kinds  # of the factors
     factors: Tested  # statistics of each factor
-    # (F,) natural logarithm of Holm's p value, over all factors, components and clusters; of as many independent tests
-    # as draws show
-    log_p_family: Array
+    log_p_family: Array  # (F,) natural, Holm's over all factors, components and clusters; of the tests that draws show
     p_drawn: Array  # (F,) from the smallest p value of draws; NaN without draws
-    # by_kind, by_axis: components of the kinds, and of the axes of each; `axis` (K, 2) kind and axis, -1: whole
-    by_kind: Components
-    by_axis: Components
-    axis: IntArray
-    # log_p_kind, log_p_axis: Holm's, in the same family as the factors
-    log_p_kind: Array
-    log_p_axis: Array
-    # clusters, log_p_cluster: loops that agree with each other, tested together; Holm's, in the same family
-    clusters: Sequence[Cluster]
-    log_p_cluster: Array
+    by_kind: Components  # of the kinds
+    by_axis: Components  # of the axes of each kind
+    axis: IntArray  # (K, 2) kind and axis, -1: whole
+    log_p_kind: Array  # Holm's, in the same family as the factors
+    log_p_axis: Array  # the same
+    clusters: Sequence[Cluster]  # loops that agree with each other, tested together
+    log_p_cluster: Array  # Holm's, in the same family
     freedom: int  # degrees of freedom
     f: linear.Factored  # the factored system
     wrong: IntArray  # factors without which no other is rejected, if they are few; else all that are rejected

@@ -73,10 +73,9 @@ class Tested:
     dim: IntArray  # number of residuals
     chi2: Array  # squared norm of the whitened residual at the values
     redundancy: Array  # trace of R, the share of its dimension that others check
-    # deleted, rank, log_p: T, its degrees of freedom and logarithm of the p value, NaN where nothing is seen
-    deleted: Array
-    rank: IntArray
-    log_p: Array
+    deleted: Array  # T, NaN where nothing is seen, as log_p
+    rank: IntArray  # degrees of freedom of T
+    log_p: Array  # logarithm of its p value
     minimal_error: Array  # in sigmas, that the test finds with 80 % power at 0.1 %, in its worst seen direction
     weight: Array  # of a robust noise
     moved: Array  # m, how far the worst point moves without the factor, among all points where affordable, else its own

@@ -24,9 +24,8 @@ class Encounters(Locked):
 
     instant: IntArray  # (S,) of the team
     observer: IntArray  # (S,) rows of the team
-    # z: (S, 2) and R: (S, 2, 2), as of the observer's sensor
-    z: Array
-    R: Array
+    z: Array  # (S, 2), as of the observer's sensor
+    R: Array  # (S, 2, 2)
     label: IntArray  # (S,) number of the observed robot as read, `CLUTTER` or `UNLABELLED`; for known association alone
 
     def __len__(self) -> int:

@@ -81,18 +81,15 @@ class Pairings:
     neighbour: int  # pairings with the landmark of another point, though the right one was in the map
     copy: int  # pairings with a second landmark of the right point
     ghost: int  # points paired with a landmark that was initialized on a person
-    # clutter: observations of people; of them paired, initializing a landmark, and paired with a landmark that was
-    # initialized on a person
-    clutter: int
+    clutter: int  # observations of people
     clutter_paired: int
-    clutter_initializing: int
-    clutter_again: int
+    clutter_initializing: int  # a landmark
+    clutter_again: int  # paired with a landmark that was initialized on a person
     first_wrong: int | None  # frame of the first FP, None if there is none
     before: float  # before, after: RMS position error in the frames before it, and from it on
     after: float
     apart: float  # median distance of the points confused
-    # off: median distance of those observations, placed in the world from the predicted pose, from their own point
-    off: float
+    off: float  # median distance of those observations, placed from the predicted pose, from their own point
 
     @property
     def wrong(self) -> int:
@@ -113,11 +110,9 @@ class Judged:
     odometry: bool
     maintained: bool
     implausible_from: int | None  # frame, None if it is plausible
-    # rmse: of the position [m], inside: share of the frames with the position inside 3 sigma, nees: mean of the pose;
-    # all of the first phase
-    rmse: float
-    inside: float
-    nees: float
+    rmse: float  # of the position [m], as the next two in the first phase
+    inside: float  # share of the frames with the position inside 3 sigma
+    nees: float  # mean of the pose
     largest: float  # largest, last: m, position error at most and in the last frame
     last: float
     reach: float  # m from its start, at most

@@ -82,9 +82,8 @@ class ScanLines:
 
     kind: str  # first word of their lines
     ranges: Array  # (S, B) m, as in the file
-    # laser, robot: (S, 3) poses of laser and robot in the odometry frame
-    laser: Array
-    robot: Array
+    laser: Array  # (S, 3) poses of the laser in the odometry frame
+    robot: Array  # (S, 3) of the robot
     stamp: Array  # (S,) s
     line: IntArray  # (S,) in the file
     beams: tuple[float, float]  # angle of the first beam and step [rad]
@@ -96,7 +95,6 @@ class ScanLines:
 class CarmenLines:
     """The contents of a file."""
 
-    # odometry, scans: its lines
     odometry: OdometryLines
     scans: ScanLines
     parameters: Mapping[str, float]  # numeric values of PARAM lines

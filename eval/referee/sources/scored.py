@@ -73,31 +73,25 @@ class SourceScore:
     source: str
     kind: str
     phase: str
-    # count, used: measurements of the source, and those that were accepted
-    count: int
-    used: int
-    # nis_mean, nis_dof: of the accepted ones per degree of freedom, and their degrees of freedom; NaN, 0: none
-    nis_mean: float = math.nan
-    nis_dof: int = 0
-    # expected, variance: of NIS per degree of freedom, behind the gate
-    expected: float = 1.0
-    variance: float = 2.0
-    # nis_low, nis_high: 95 % bounds; NaN: none, as after all data
-    nis_low: float = math.nan
+    count: int  # measurements of the source
+    used: int  # accepted ones
+    nis_mean: float = math.nan  # of the accepted ones per degree of freedom; NaN: none
+    nis_dof: int = 0  # their degrees of freedom
+    expected: float = 1.0  # of NIS per degree of freedom, behind the gate
+    variance: float = 2.0  # the same
+    nis_low: float = math.nan  # 95 % bounds; NaN: none, as after all data
     nis_high: float = math.nan
     verdict: str = ""  # a word on the innovations; empty: none
-    # lag1, lag1_se: correlation of successive innovations and its standard error; NaN: too few
-    lag1: float = math.nan
-    lag1_se: float = math.nan
+    lag1: float = math.nan  # correlation of successive innovations; NaN: too few
+    lag1_se: float = math.nan  # its standard error
     gate: float | None = None  # chi-square probability of the gate; None: no gate
     formed: int = 0  # accepted and rejected ones at their turn; those not formed cannot be rejected
     # TP, TN, FP, FN: inliers accepted, outliers rejected, outliers accepted, inliers rejected; None: no truth, or none
     # was decided about
     outcomes: tuple[int, int, int, int] | None = None
     outlying: int = 0  # accepted ones that contradict all others, each surely (`SURE` for the source)
-    # dof, largest: degrees of freedom of one, and largest NIS of those formed
-    dof: int = 0
-    largest: float = math.nan
+    dof: int = 0  # degrees of freedom of one
+    largest: float = math.nan  # NIS of those formed
     log_chance: float = math.nan  # logarithm of the probability of a larger one among so many; NaN: none
 
 

@@ -1,7 +1,5 @@
 """Wrong estimators, each a right one with one mistake, and what the check should suspect; and sound approximations."""
 
-from types import SimpleNamespace
-
 import numpy as np
 from scipy.linalg import block_diag
 
@@ -57,7 +55,7 @@ def pose_alone(self, Gx, Gz, R):
 def fixed_and_corrected(self, z, R, start=1.0):
     self.x = np.append(self.x, self.sensor.inverse(self.x[:3], z[None])[0][0])
     self.P = block_diag(self.P, start * np.eye(2))
-    Plain.update(self, SimpleNamespace(z=z[None], R=R[None]), np.array([(len(self.x) - 5) // 2]))
+    Plain.update(self, type("Seen", (), {"z": z[None], "R": R[None]}), np.array([(len(self.x) - 5) // 2]))
 
 
 def noise_alone(self, Gx, Gz, R):
@@ -137,6 +135,7 @@ MUTANTS = {
         mutant(moved=lambda s, c, n, u, v, w: (s.x[0] + u, s.x[1] + v, wrapped(s.x[2] + w))),
         Bug.MOTION_NOT_TURNED,
     ),
+    "along-heading": (mutant(moved=lambda s, c, n, u, v, w: Plain.moved(s, c, n, u, 0, w)), Bug.MOTION_NOT_SIDEWAYS),
     "no-motion-Jacobian": (mutant(motion=lambda s, c, n, u, v: (np.eye(3), s.G(c, n))), Bug.MOTION_JACOBIAN_NONE),
     "motion-Jacobian-transposed": (
         mutant(motion=lambda s, c, n, u, v: (Plain.motion(s, c, n, u, v)[0].T, s.G(c, n))),

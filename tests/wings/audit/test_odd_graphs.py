@@ -73,9 +73,7 @@ def test_ids_of_a_file_may_be_keys_of_gtsam(plain, base, tmp_path):
 
 
 def test_an_id_beyond_them_is_named(plain, tmp_path):
-    with pytest.raises(
-        DataError, match=f"g.g2o:1: .*'{2**63}' is not an id, a whole number from 0 up and below {2**63}"
-    ):
+    with pytest.raises(DataError, match=f"g.g2o:1: .*'{2**63}' is not an id, .* from 0 up and below {2**63}"):
         graph_file_of(tmp_path / "g.g2o", "\n".join(lines_of(*plain, 2**63)))
 
 
@@ -214,8 +212,7 @@ def test_what_was_eliminated_is_no_residual():
     graph.add(gtsam.LinearContainerFactor(gtsam.HessianFactor(1, 100.0 * np.eye(2), np.array([3.0, 1.0]), 50.0)))
     graph.add(gtsam.PriorFactorPoint2(1, np.array([0.03, 0.01]), N.Isotropic.Sigma(2, 0.1)))
     found = slamref.audit(graph, values, draws=0)
-    assert found.audit.freedom == 2
-    assert list(found.factors["dim"]) == [2, 2]
+    assert (found.audit.freedom, list(found.factors["dim"])) == (2, [2, 2])
 
 
 def test_the_gauge_is_that_of_the_graph_not_of_its_first_variable():
@@ -255,8 +252,7 @@ def test_half_a_graph_that_a_range_ties_is_not_determined():
     graph.remove(14)
     graph.add(gtsam.RangeFactorPose2(X(14), X(15), 1.0, N.Isotropic.Sigma(1, 0.1)))
     facts = slamref.audit(graph, values, draws=0).facts
-    assert facts.gauge == 0
-    assert facts.loose[0] == ("x15", 2, True, True, -1)
+    assert (facts.gauge, facts.loose[0]) == (0, ("x15", 2, True, True, -1))
 
 
 @pytest.mark.parametrize("sigma", [1e9, 1e4, 1.0])

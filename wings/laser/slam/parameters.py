@@ -8,8 +8,7 @@ from dataclasses import dataclass
 class LaserParameters:
     """Constants of the front end; lengths in m, angles in rad."""
 
-    # keyframe_distance, keyframe_angle: a key pose is made when either is reached
-    keyframe_distance: float = 0.4
+    keyframe_distance: float = 0.4  # a key pose is made when this or the angle is reached
     keyframe_angle: float = 0.5
     max_range: float = 20.0  # farther returns are not used: far surfaces are hit by few beams
     window: int = 8  # number of key scans that the newest scans are matched against
@@ -24,16 +23,12 @@ class LaserParameters:
     loop_apart: int = 8  # key poses between two candidates of one key pose
     loops_per_key: int = 2  # number of candidates per key pose
     loop_around: int = 2  # key scans on either side of a candidate that are matched with it
-    # direct_distance, direct_angle: three standard deviations up to which a match starts from the expected pose; beyond
-    # it a correlative search covers them, up to `widest`
-    direct_distance: float = 0.2
-    direct_angle: float = 0.1
-    widest: float = 8.0
-    # least_correlation, loop_share, most_contradiction: of a loop closure: score of the search, share of points that
-    # fit, share of beams that contradict
-    least_correlation: float = 0.4
-    loop_share: float = 0.5
-    most_contradiction: float = 0.1
+    direct_distance: float = 0.2  # three standard deviations up to which a match starts from the expected pose
+    direct_angle: float = 0.1  # the same; beyond them a correlative search covers them
+    widest: float = 8.0  # up to which it does
+    least_correlation: float = 0.4  # of a loop closure: score of the search
+    loop_share: float = 0.5  # share of points that fit
+    most_contradiction: float = 0.1  # share of beams that contradict
     loosest: float = 0.02  # largest standard deviation of a closure's position in its worst direction, before scaling
     gate: float = 16.27  # chi-square (3 dof) of a closure against the graph
     pair_gate: float = 11.34  # chi-square (3 dof) of the circle through two closures
