@@ -9,7 +9,7 @@ from association.decide import PLAIN
 from association.jcbb import jcbb, jcbb_first
 from association.names import METHODS
 from data.errors import UsageError
-from eval.checks import associations, estimators, pose_measurements
+from eval.checks import associations, estimators
 from eval.checks.exactness import exactness
 from eval.checks.finding import CheckError, Finding
 from eval.replay.external.adapter import ForeignError, Method, load, tasks_of, text_of
@@ -19,7 +19,7 @@ from eval.replay.settings import STEPPING, TASKS
 ESTIMATOR = (
     *(estimators.purity, estimators.covariances, estimators.runs, exactness, estimators.without_noise),
     *(estimators.seams, estimators.empty_frames, estimators.determinism, estimators.removal),
-    *(pose_measurements.fixes, pose_measurements.closures),
+    *(estimators.fixes, estimators.closures),
 )
 OWN = {**PLAIN, "jcbb": jcbb, "jcbb-first": jcbb_first}
 

@@ -9,7 +9,7 @@ wing = Wing(
     worlds={"team": TEAM},
     replays=("wings.cooperative.runs:team_runs",),
     teams=("wings.cooperative.experiments:experiments",),
-    company=("wings.cooperative.player:company",),
+    company=("wings.cooperative.report:company",),
     sections=("wings.cooperative.report:team_sections",),
     templates="wings.cooperative",
 )

@@ -26,8 +26,18 @@ from eval.referee.score import Trial, metrics_row
 from eval.report.page.blocks import Block, Picture, Section
 from eval.report.page.files import written_table
 from eval.report.words import paragraph
-from wings.camera.figures import draw_pictures, plan_figure
-from wings.camera.report import MOTION, OBSERVATION, UPDATE, constants, sheet, statistics_of, summary, write_models
+from wings.camera.report import (
+    MOTION,
+    OBSERVATION,
+    UPDATE,
+    constants,
+    draw_pictures,
+    plan_figure,
+    sheet,
+    statistics_of,
+    summary,
+    write_models,
+)
 
 SHOWN = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")
 TEMPLATE = "labs/visual"

@@ -17,7 +17,7 @@ wing = Wing(
     "laser", worlds={"floorplan": FLOORPLAN}, recordings=(CARMEN,), conversions=("wings.laser.convert",),
     questions=("wings.laser.questions:questions",), replays=("wings.laser.slam.comparison:laser_runs",),
     kernels={"laser": "wings.laser.warming:warm"}, outcomes=("wings.laser.score:closure_counts",),
-    notices=("wings.laser.faults:faults",), player=("wings.laser.figures:add_loops",),
+    notices=("wings.laser.score:faults",), player=("wings.laser.report:add_loops",),
     files=("wings.laser.report:write_laser_files",),
     figures={"grid": "wings.laser.report:GRID", "loops": "wings.laser.report:LOOPS"},
     sections=("wings.laser.report:laser_sections",), templates="wings.laser",

@@ -1,31 +1,71 @@
 """Multiple hypotheses (`mht`): several histories of decisions, each with an estimator of its own.
 
 Reid, "An algorithm for tracking multiple targets", IEEE TAC 24(6), 1979; the best children of a hypothesis by Murty's
-method (Cox and Hingorani, IEEE PAMI 18(2), 1996). In a frame each observation is of a landmark inside the outer gate,
-of a new one, or, where it is inside a gate, of none. A child's likelihood has three parts: the joint innovation of its
-pairings, the densities of new landmarks and of clutter in the view, and the landmarks in view that were not observed.
-The likeliest hypothesis decides. Where another one becomes the likeliest, its earlier decisions revise the others.
+method (Operations Research 16(3), 1968; Cox and Hingorani, IEEE PAMI 18(2), 1996). In a frame each observation is of a
+landmark inside the outer gate, of a new one, or, where it is inside a gate, of none. A child's likelihood has three
+parts: the joint innovation of its pairings, the densities of new landmarks and of clutter in the view, and the
+landmarks in view that were not observed. The likeliest hypothesis decides. Where another one becomes the likeliest, its
+earlier decisions revise the others.
 """
 
-from __future__ import annotations
-
 import copy
+import heapq
 import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
-from association.assignment import best_assignments
 from association.expectation import gate_threshold
 from association.truncated import Acceptance
 from data.inputs import Frame, IntArray
 from data.notice import Notice
 from data.result import DISCARD, NEW, Event, Finished, MapState, Updated
+from data.se2 import Array
 from ekf.filter import FilterOptions
 from eval.replay.external.adapter import CannotError
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.hindsight.hypotheses import DROP, STRAY, Choice, DetectionRates, one_pose, view_area
 from eval.replay.settings import MHT, Given, Setup
+
+
+def best_assignments(cost: Array, most: int, slack: float) -> list[tuple[float, IntArray]]:
+    """Assignments of all rows to different columns, cheapest first.
+
+    Args:
+        cost: (m, n), infinite where a row cannot have a column.
+        most: greatest number of assignments.
+        slack: those that cost more than the cheapest one by this are left out.
+
+    Returns:
+        Summed cost and column (m,) of each; empty if every assignment has an infinite cost.
+    """
+    found = list[tuple[float, IntArray]]()
+    problems = list[tuple[float, int, IntArray, Array, int]]()  # cost, order, columns; what is allowed, rows fixed
+    limit = np.inf
+
+    def solve(allowed: Array, fixed: int) -> None:
+        try:
+            rows, columns = scipy.optimize.linear_sum_assignment(allowed)
+        except ValueError:  # every assignment has an infinite cost
+            return
+        total = float(allowed[rows, columns].sum())
+        if total <= limit:
+            heapq.heappush(problems, (total, len(found) * len(cost) + fixed, columns, allowed, fixed))
+
+    solve(cost, 0)
+    while problems and len(found) < most:
+        total, _, columns, allowed, fixed = heapq.heappop(problems)
+        found.append((total, columns))
+        limit = found[0][0] + slack
+        # the other assignments of this problem: the first that differs in a row, by row
+        left = allowed.copy()
+        for row in range(fixed, len(cost)):
+            other = left.copy()
+            other[row, columns[row]] = np.inf
+            solve(other, row)
+            left[row, np.arange(left.shape[1]) != columns[row]] = np.inf
+    return found
 
 
 class _Replay(FrontEnd):

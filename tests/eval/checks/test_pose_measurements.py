@@ -10,7 +10,7 @@ from data.pose_measurements import expected_fix
 from data.se2 import wrap_angle
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
-from eval.checks import pose_measurements
+from eval.checks import estimators
 from eval.replay.external.adapter import text_of
 from tests.eval.checks.plain import Plain
 
@@ -48,7 +48,7 @@ def lines(check, estimator, task):
 
 @pytest.mark.parametrize("task", ["localization", "slam"])
 def test_a_students_filter_passes_and_what_was_found_is_said(task):
-    found = lines(pose_measurements.fixes, Fixing, task)
+    found = lines(estimators.fixes, Fixing, task)
     assert [f.line for f in found if not f.passed] == []
     assert [f.check for f in found] == ["fixes", "fixes, covariance", "fixes, NIS", "fixes, gate"]
     assert "the path with 7 fixes within 0.001 sigma" in found[0].sentence
@@ -56,7 +56,7 @@ def test_a_students_filter_passes_and_what_was_found_is_said(task):
 
 @pytest.mark.parametrize(
     ("check", "words"),
-    [(pose_measurements.fixes, "it has no `fix`"), (pose_measurements.closures, "it has no `close_loops`")],
+    [(estimators.fixes, "it has no `fix`"), (estimators.closures, "it has no `close_loops`")],
 )
 def test_that_it_has_neither_is_said_and_no_failure(check, words):
     (found,) = lines(check, Plain, "slam")
@@ -128,5 +128,5 @@ WRONG = [
 @pytest.mark.parametrize(("estimator", "check", "words"), WRONG, ids=lambda x: getattr(x, "__name__", None))
 def test_what_is_wrong_is_found(estimator, check, words):
     task = "slam" if issubclass(estimator, EkfSlam) else "localization"
-    failed = [f for f in lines(getattr(pose_measurements, check), estimator, task) if not f.passed]
+    failed = [f for f in lines(getattr(estimators, check), estimator, task) if not f.passed]
     assert any(re.search(words, f.sentence) for f in failed), [f.line for f in failed]

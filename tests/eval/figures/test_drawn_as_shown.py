@@ -16,7 +16,7 @@ from eval.figures.error import difference_figure, error_figure
 from eval.figures.growth import growth_figure
 from eval.figures.map import log_figure, map_figure
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
-from wings.laser.figures import loop_picture
+from wings.laser.report import loop_picture
 from wings.laser.scans.constraints import Loops
 
 OFF = np.array([0.1, -0.1, 0.02])

@@ -1,7 +1,5 @@
 """Grading: model solutions get everything, handouts nothing, typical mistakes less, and the cause is named."""
 
-from __future__ import annotations
-
 import ast
 import functools
 import importlib

@@ -9,7 +9,7 @@ from matplotlib.colors import to_hex
 
 from eval.figures.style import style_of
 from tests.eval.figures.looks import SEEN_BY, lab, within
-from wings.laser.figures import LOOP_STATES, loop_picture, loop_states, map_picture
+from wings.laser.report import LOOP_STATES, loop_picture, loop_states, map_picture
 from wings.laser.scans.constraints import Loops
 from wings.laser.scans.occupancy import Grid
 

@@ -13,22 +13,27 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wings.robot.packets import (
+    BEAMS,
     MARKER,
+    MOST_BEAMS,
     RADIUS,
     SONARS,
     WHEEL_BASE,
     WHEEL_RADIUS,
     Answer,
+    Beams,
     Command,
+    Scan,
+    ScanParts,
     checksum,
     decode_answer,
     decode_command,
     encode_answer,
     encode_command,
+    encode_scan,
     framed,
     next_frame,
 )
-from wings.robot.scan_packets import BEAMS, MOST_BEAMS, Beams, Scan, ScanParts, encode_scan
 from wings.robot.traffic.stream import Framed
 
 SIZES = {MARKER: 22}

@@ -1,15 +1,198 @@
-"""Graph SLAM by scan matching, frame by frame: the front end of a laser log, and of a robot that drives."""
+"""Graph SLAM by scan matching, frame by frame: the front end of a laser log, and of a robot that drives.
+
+Its odometry matches each scan against the last key scans, with the wheels' odometry as a robust prior. The wheels'
+error has two modes: noise, and rare slips (or a robot that backs while its odometry says forward), which may be large
+per metre and per second. Their mixture is replaced by the likelier mode (E. Olson, P. Agarwal, "Inference on networks
+of mixtures for robust robot mapping", IJRR 32, 2013, max-mixtures).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
 
 import numpy as np
 
 from data.inputs import Increment, Prior, Scanner
-from data.se2 import Array, between, compose, pose_error
+from data.se2 import Array, between, compose, pose_error, wrap_angle
 from wings.laser.pose_graph import PoseGraph
-from wings.laser.scans.points import Points, beams_of, scan_points
+from wings.laser.scans.matching import Match, MotionPrior, NearestGrid, Pyramid, best_pose, match, pyramid
+from wings.laser.scans.points import Points, beams_of, joined, scan_points
 from wings.laser.scans.uncertainty import compose_covariances
 from wings.laser.slam.closures import Closure, LoopCloser
 from wings.laser.slam.parameters import LaserParameters
-from wings.laser.slam.tracker import Tracker
+
+OTHER_START = np.array([0.03, 0.03, 0.01])
+"""m, m, rad: a prediction by the last motion that differs from odometry by more is a second start."""
+MOST_SIGMAS = 3.0  # of a slip, up to which poses are starts
+SURPRISE = 25.0
+"""Chi-square (3 dof) from which a match contradicts odometry: the wheels slipped, or the scan was matched to the wrong
+surface. A match that keeps to odometry is then tried, too."""
+FIRM = 1e3  # scale of a prior that does not yield, in standard deviations
+UNUSUAL = 0.1  # of cost above that of the scan before: from then on a match is searched for around odometry
+SEARCHED, FARTHEST = 90, 10.0  # points of a search, and their distance [m]
+LEAST_CORRELATION = 0.4  # score of a search
+WIDEST = np.array([2.0, 2.0, 0.5 * math.pi])  # m, m, rad of a search to either side
+FEWEST_POINTS, SURE = 50, 0.7  # points of a scan, and share that fits, of a match that contradicts odometry
+POINTS = 150  # Points of a scan that are evidence, at most: neighbouring beams have one surface in common
+
+
+TURNED_WAY = 0.25  # m per rad: the way of a wheel in a turn
+PER_METRE = np.array([1.0, 1.0, 0.5])
+"""m, m, rad per metre of the wheels: backing instead of forward is two standard deviations."""
+PER_RADIAN = np.array([0.0, 0.0, 0.5])  # and per radian of their turn
+PER_SECOND = np.array([0.3, 0.3, 0.5])  # pushed, or sliding, with wheels at rest
+LONGEST = 2.0  # s: in a longer time between two scans nothing more is expected
+LEAST = np.array([0.02, 0.02, 0.02])  # m, m, rad
+RARE = 15.0
+"""Log odds of noise against a slip, before the data. It is the fit of a tenth of the points, which a moving door or
+people can have."""
+AGAIN, STEADY = 3.0, 0.2
+"""Log odds of noise against a slip that goes on, and its standard deviation as a share of a slip's."""
+
+
+class Travel(NamedTuple):
+    """What the wheels report between two scans: distance [m], turn [rad], both summed, and the time [s]."""
+
+    distance: float = 0.0
+    turn: float = 0.0
+    seconds: float = 0.0
+
+    def plus(self, motion: Array, seconds: float) -> Travel:
+        """With one more motion (3,)."""
+        distance, turn = math.hypot(motion[0], motion[1]), abs(float(motion[2]))
+        return Travel(self.distance + distance, self.turn + turn, self.seconds + seconds)
+
+    @property
+    def way(self) -> float:
+        """Of a wheel [m]."""
+        return self.distance + TURNED_WAY * self.turn
+
+
+def repeated(motion: Array, then: Travel, now: Travel) -> Array | None:
+    """The last motion (3,) at the same rate: per metre of the wheels, or per second where they stand still."""
+    if then.way > 0.0 and now.way > 0.0:
+        return motion * (now.way / then.way)
+    if then.seconds > 0.0 and now.seconds > 0.0:
+        return motion * (now.seconds / then.seconds)
+    return None
+
+
+class Tracker:
+    """The robot's pose relative to the newest key pose, frame by frame."""
+
+    def __init__(self, parameters: LaserParameters, sigma: float, *, steady: bool = False) -> None:
+        """`steady`: odometry is unknown, and the last motion goes on, with the covariances of `predict`."""
+        self.parameters, self.steady = parameters, steady
+        self.sigma = parameters.distance_sigma(sigma)
+        self.pose, self.covariance = np.zeros(3), np.zeros((3, 3))
+        self.surprise = 0.0  # chi-square (3 dof) of the last match against odometry
+        self._grid = NearestGrid(parameters.max_range + 2.0)
+        self._keys: list[Points] = []
+        self._matched = np.zeros(3)
+        self._motion = np.zeros(3)
+        self._travelled = self._travel = Travel()
+        self._cost = 0.0
+        self._slipped = False
+        self._pyramid: Pyramid | None = None
+
+    def predict(self, motion: Array, covariance: Array, seconds: float = 0.0) -> None:
+        """Add the odometry of one frame; `seconds` since the frame before, 0 where unknown."""
+        self.covariance = compose_covariances(self.pose, self.covariance, motion, covariance)
+        self.pose = compose(self.pose, motion)
+        self.pose[2] = wrap_angle(float(self.pose[2]))
+        self._travel = self._travel.plus(motion, seconds)
+
+    def correct(self, points: Points) -> bool:
+        """Match the frame's scan; returns False if it does not fit and the prediction is kept. Of the matches from
+        several starts the one is kept whose cost and contradiction of odometry are least.
+        """
+        self.surprise = 0.0
+        if not self._keys or len(points.xy) == 0:
+            return False
+        again = repeated(self._motion, self._travelled, self._travel)
+        if self.steady and again is not None:
+            self.pose = compose(self._matched, again)
+            self.pose[2] = wrap_angle(float(self.pose[2]))
+        prior = MotionPrior(self.pose, np.asarray(np.linalg.inv(self.covariance + 1e-10 * np.eye(3)), float))
+        way = self._travel  # slip: standard deviation (3,) [m, m, rad] of odometry's error if the wheels slip
+        slip = LEAST + PER_METRE * way.distance + PER_RADIAN * way.turn + PER_SECOND * min(way.seconds, LONGEST)
+        slip = np.maximum(slip, np.sqrt(np.diag(self.covariance)))
+        tried = [self._match(points, self.pose, prior)]
+        going_on = None
+        if again is not None and not self.steady:
+            start = compose(self._matched, again)
+            apart = pose_error(start, self.pose)
+            if (np.abs(apart) > OTHER_START).any() and (np.abs(apart) <= MOST_SIGMAS * slip).all():
+                tried.append(self._match(points, start, prior))
+                going_on = start if self._slipped else None
+        if self.steady or min(m.cost for m in tried) > self._cost + UNUSUAL:
+            found = self._searched(points, slip)
+            if found is not None:
+                tried.append(self._match(points, found, prior))
+        if any(self._chi2(m, prior) > SURPRISE for m in tried):
+            held = self._match(points, self.pose, prior, FIRM)
+            # where little is seen, or the reference ends, a few points fit anywhere
+            plenty = len(points.xy) >= FEWEST_POINTS
+            tried = [*(m for m in tried if self._chi2(m, prior) <= SURPRISE or (plenty and m.share >= SURE)), held]
+        evidence = min(len(points.xy), POINTS)
+        best = min(tried, key=lambda m: evidence * m.cost + self._penalty(m, prior, slip, going_on))
+        if best.share < self.parameters.least_share:
+            return False
+        self.surprise = self._chi2(best, prior)
+        self._slipped = self.surprise > SURPRISE
+        self._motion = between(self._matched, best.pose)
+        self.pose, self.covariance = best.pose, best.covariance
+        self._matched, self._cost = best.pose, best.cost
+        self._travelled, self._travel = self._travel, Travel()
+        return True
+
+    def _match(self, points: Points, start: Array, prior: MotionPrior, scale: float | None = None) -> Match:
+        return match(points, self._reference, start, prior, self.sigma, scale or self.parameters.prior_scale)
+
+    def _chi2(self, found: Match, prior: MotionPrior) -> float:
+        error = pose_error(found.pose, prior.mean)
+        return float(error @ prior.information @ error)
+
+    def _penalty(self, found: Match, prior: MotionPrior, slip: Array, going_on: Array | None) -> float:
+        """Negative log likelihood, up to a constant, of a match: by the noise of odometry, or as a slip with standard
+        deviations (3,); `going_on` (3,): the pose by the last motion, where that slipped already.
+        """
+        error = pose_error(found.pose, prior.mean)
+        penalty = min(0.5 * self._chi2(found, prior), RARE + 0.5 * float(((error / slip) ** 2).sum()))
+        if going_on is not None:
+            further = pose_error(found.pose, going_on)
+            penalty = min(penalty, AGAIN + 0.5 * float(((further / (STEADY * slip)) ** 2).sum()))
+        return penalty
+
+    def _searched(self, points: Points, slip: Array) -> Array | None:
+        """The pose around odometry, as far as the wheels may slip, where the scan fits the reference best."""
+        window = np.minimum(MOST_SIGMAS * slip, WIDEST)
+        if self._pyramid is None:
+            self._pyramid = pyramid(self._reference.xy, FARTHEST + 2.0)
+        near = points.xy[np.hypot(points.xy[:, 0], points.xy[:, 1]) < FARTHEST]
+        some = near[:: max(len(near) // SEARCHED, 1)]
+        pose, score = best_pose(some, self._pyramid, self.pose, window, LEAST_CORRELATION)
+        return pose if score > 0.0 else None
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the next key pose is due: the newest one is far, or nothing has been seen yet."""
+        p = self.parameters
+        if not any(len(k.xy) for k in self._keys):
+            return True
+        far = math.hypot(self.pose[0], self.pose[1]) >= p.keyframe_distance
+        return far or abs(float(self.pose[2])) >= p.keyframe_angle
+
+    def make_key(self, points: Points) -> None:
+        """Make the current pose the key pose; its scan joins the reference."""
+        back = between(self.pose, np.zeros(3))
+        self._keys = [*(k.seen_from(back) for k in self._keys), points][-self.parameters.window :]
+        self._reference = self._grid.reference(*joined(self._keys))
+        self._pyramid = None
+        self._matched = between(self.pose, self._matched)
+        self.pose, self.covariance = np.zeros(3), np.zeros((3, 3))
+
 
 LARGE, AMORTIZED = 1500, 300
 """Key poses from which on loop closures wait for others, and how many more make them wait for one more key pose."""

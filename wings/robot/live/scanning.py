@@ -17,7 +17,7 @@ from wings.laser.slam.incremental import ScanSlam
 from wings.laser.slam.parameters import LaserParameters
 from wings.robot.live.session import Online, Step
 from wings.robot.log import prior
-from wings.robot.scan_packets import Scan
+from wings.robot.packets import Scan
 
 Scanned = tuple[Array, Array, Scanner]  # poses (n, 3), scans (n, B), of one scanner
 

@@ -33,7 +33,7 @@ from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 from wings.robot.driving import WallFollower
 from wings.robot.log import SENSOR, USUAL, Framing, Noise, prior
-from wings.robot.scan_packets import Scan
+from wings.robot.packets import Scan
 from wings.robot.simulated.physics import Lidar, drive
 from wings.robot.simulated.room import room
 from wings.robot.traffic.stream import Packet

@@ -17,7 +17,7 @@ import numpy as np
 from data.se2 import Array, compose, wrap_angle
 from wings.laser.floorplan.world import scan_ranges
 from wings.robot import packets as protocol
-from wings.robot.scan_packets import Beams, Scan
+from wings.robot.packets import Beams, Scan
 from wings.robot.simulated.room import Room, cast, clearance
 from wings.robot.traffic.stream import Packet, Unwrapper
 from wings.robot.walls import MIRROR

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wings.robot import packets as protocol
-from wings.robot.scan_packets import encode_scan
+from wings.robot.packets import encode_scan
 from wings.robot.simulated.physics import Robot
 
 COMMAND_PAUSE = 0.05  # s of silence after which a byte begins a command; a command is 4 ms long

@@ -20,7 +20,7 @@ import numpy as np
 
 from data.se2 import Array, between, compose
 from wings.robot import packets as protocol
-from wings.robot.scan_packets import SCAN_BYTES, SCAN_MARKER, TORN, Beams, Scan, ScanParts
+from wings.robot.packets import SCAN_BYTES, SCAN_MARKER, TORN, Beams, Scan, ScanParts
 from wings.robot.traffic.recording import GONE, RECEIVED, SENT, Record
 
 SLACK = 0.1  # s, largest delay of a byte's stamp

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from association.assignment import best_assignments
 from data.result import NEW
 from data.worlds.registry import named_log
 from eval.referee.score import confusion_of
+from eval.replay.hindsight.multi_hypothesis import best_assignments
 from eval.replay.run import compare, front_end, through
 from eval.replay.settings import MHT, Setup
 

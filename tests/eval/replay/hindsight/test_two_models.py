@@ -9,7 +9,7 @@ from data.result import NEW
 from data.sensors import RangeBearing
 from data.worlds.park import Park, simulate
 from ekf.slam import EkfSlam
-from eval.replay.hindsight.two_models import DECIDED, TwoModels
+from eval.replay.hindsight.mapper import DECIDED, TwoModels
 
 LOG = simulate(Park(frames=400, sigma_omega=0.001), 1).inputs(labels=True).without_map()
 R = np.diag([0.1**2, 0.02**2])

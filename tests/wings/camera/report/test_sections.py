@@ -15,9 +15,8 @@ from eval.report.words import say
 from tests.eval.handmade import circle_log, run_with_error
 from tests.wings.camera.report.handmade import CORNERS, GREY, SQUARE, evidence
 from wings.camera import report as visual
-from wings.camera.figures import contact_sheet, plan_figure
 from wings.camera.outlined import YELLOW
-from wings.camera.report import detection_table, statistics_of, tiles_of, visual_sections
+from wings.camera.report import contact_sheet, detection_table, plan_figure, statistics_of, tiles_of, visual_sections
 
 
 def test_statistics_of_hand_made_detections_are_those_counted_on_paper():
