@@ -1,17 +1,37 @@
-"""Batch smoothing: all poses and landmarks of a log from all its data, for given decisions."""
+"""Batch smoothing: all poses and landmarks of a log from all its data, for given decisions; its chordal start.
+
+Chordal start: relations state R_j = R_i M and t_j = t_i + R_i m. Without the constraint that R is a rotation the first
+is linear, each row of R on its own; the solution is projected onto rotations (Martinec and Pajdla, "Robust rotation and
+translation estimation in multiview reconstruction", CVPR 2007; Carlone et al., "Initialization techniques for 3D SLAM",
+ICRA 2015).
+
+Robust to wrong associations: graduated non-convexity selects the accepted observations (Yang, Antonante, Tzoumas and
+Carlone, "Graduated Non-Convexity for Robust Spatial Perception", IEEE RA-L 5(2), 2020), with truncated least squares:
+minimize the sum of min(d^2, c^2), d^2 the squared whitened residual of an observation. A round is one Gauss-Newton step
+by sparse QR, for points, walls, fixes and closures alike.
+"""
 
 from dataclasses import replace
 from typing import NamedTuple
 
+import gtsam
 import numpy as np
+from scipy.sparse import coo_matrix, csc_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import spsolve
 
+from association.expectation import gate_threshold
+from association.truncated import truncated_square
 from data.errors import UsageError
 from data.inputs import Inputs, IntArray, LandmarkMap
-from data.se2 import Array, BoolArray, between, pose_error
+from data.result import DISCARD
+from data.se2 import Array, BoolArray, between, compose, pose_error
 from graph.factors import LOSSES, ObservationFactors, known_landmark_factors, landmark_factors
 from graph.optimum import STEP, Smoothed, optimize
 from graph.pose_factors import PoseFactor, closure_factors, fix_factors
 from graph.problem import Problem, Start, landmark_priors, refuse
+from graph.qr.elimination import Rows, eliminate, solve
+from graph.qr.rows import Linearizer
 from graph.systematic import errors_of
 from graph.walls import line_factors
 
@@ -140,3 +160,212 @@ def _rows_of(known: LandmarkMap, ids: IntArray) -> IntArray:
     if len(bad):
         raise UsageError(f"decision {ids[bad[0]]}: the map has no landmark of this id")
     return rows
+
+
+def chordal(ends: IntArray, M: Array, m: Array, turn: Array, shift: Array) -> tuple[Array, Array]:
+    """Rotations (V, d, d) and translations (V, d) of poses 0 ... V - 1; the first of each connected part is the origin.
+
+    Args:
+        ends: (n, 2) poses that each relation ties.
+        M: (n, d, d) measured rotations.
+        m: (n, d) measured translations.
+        turn: (n,) information about the rotations, a number each.
+        shift: (n,) information about the translations.
+    """
+    d = m.shape[1]
+    free = _free(ends, int(ends.max()) + 1)
+    eye = np.tile(np.eye(d), (len(ends), 1, 1))
+    # The nearest rotations to R' (V, d, d), transposed; a matrix without rank keeps to the identity.
+    X = _solved(ends, free, M.transpose(0, 2, 1), eye, np.zeros((len(ends), d, d)), turn, np.eye(d))
+    U, s, Vt = np.linalg.svd(X.transpose(0, 2, 1))
+    U[:, :, -1] *= np.sign(np.linalg.det(U @ Vt))[:, None]
+    R: Array = U @ Vt
+    lost = ~(s[:, -1] > 1e-9 * np.maximum(s[:, 0], 1.0)) if X.shape[1] == 2 else ~(s[:, 1] > 1e-9)
+    R[lost] = np.eye(X.shape[1])
+    ahead = np.einsum("nij,nj->ni", R[ends[:, 0]], m)[:, :, None]
+    return R, _solved(ends, free, eye, eye, ahead, shift, np.zeros((d, 1)))[:, :, 0]
+
+
+def chordal_path(inputs: Inputs) -> Array:
+    """Poses (N, 3) of a log from its increments and closures, from the mean of its prior on."""
+    n, steps, closures = len(inputs), inputs.increments, inputs.closures
+    ends = np.stack([np.arange(n - 1), np.arange(1, n)], 1)
+    relative, C = steps.mean[1:], steps.covariance[1:]
+    if closures is not None:
+        ends = np.concatenate([ends, np.stack([closures.frame1, closures.frame2], 1)])
+        relative, C = np.concatenate([relative, closures.relative]), np.concatenate([C, closures.covariance])
+    if not len(ends):
+        return inputs.prior.mean[None].copy()
+    c, s = np.cos(relative[:, 2]), np.sin(relative[:, 2])
+    M = np.stack([np.stack([c, -s], 1), np.stack([s, c], 1)], 1)
+    R, t = chordal(ends, M, relative[:, :2], 1.0 / C[:, 2, 2], 2.0 / (C[:, 0, 0] + C[:, 1, 1]))
+    return compose(inputs.prior.mean, np.column_stack([t, np.arctan2(R[:, 1, 0], R[:, 0, 0])]))
+
+
+def _free(ends: IntArray, count: int) -> IntArray:
+    """Number (count,) of each pose among those that are solved for; -1: the first of its part."""
+    pairs = coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), (count, count))
+    label = connected_components(pairs, directed=False)[1]
+    free = np.ones(count, bool)
+    free[np.unique(label, return_index=True)[1]] = False
+    return np.where(free, np.cumsum(free) - 1, -1)
+
+
+def _solved(ends: IntArray, free: IntArray, B: Array, C: Array, e: Array, weight: Array, first: Array) -> Array:
+    """Unknowns (V, d, c) of  C x_j = B x_i + e  (n, d, c) in least squares; those that are not free are `first`."""
+    n, d, c = e.shape
+    root = np.sqrt(weight / max(float(weight.mean()), np.finfo(float).tiny))
+    rows, columns, values = [], [], []
+    b = root[:, None, None] * e
+    at = d * np.arange(n)[:, None, None] + np.arange(d)[:, None]
+    for side, block in ((0, -B), (1, C)):
+        place, block = free[ends[:, side]], root[:, None, None] * block
+        held = place < 0
+        b[held] -= block[held] @ first
+        rows.append(np.broadcast_to(at, block.shape)[~held].ravel())
+        columns.append(np.broadcast_to(d * place[:, None, None] + np.arange(d), block.shape)[~held].ravel())
+        values.append(block[~held].ravel())
+    size = d * (int(free.max(initial=-1)) + 1)
+    out = np.tile(first, (len(free), 1, 1)).astype(float)
+    if size:
+        A = csc_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), (n * d, size))
+        out[free >= 0] = np.asarray(spsolve((A.T @ A).tocsc(), A.T @ b.reshape(n * d, c))).reshape(-1, d, c)
+    return out
+
+
+GROW = 1.4  # growth of the control parameter in each round, as in the paper
+ROUNDS = 200  # upper bound: 100 take the control parameter from 1e-7 to 1e7
+SHORTEST = 1e-3  # share of a step below which it is not tried
+LEAST = 1e-9  # least weight: a landmark of rejected observations alone keeps a position
+
+
+class _At(NamedTuple):
+    """An estimate, linearized, with squared whitened residuals of the measurements (k,) and of all else together."""
+
+    values: gtsam.Values
+    rows: Rows
+    square: Array
+    rest: float
+
+    def cost(self, weight: Array) -> float:
+        return self.rest + float(weight @ self.square)
+
+
+class Graduated:
+    """A problem whose measurements may be rejected: the observations, then fixes and closures, all in use."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._linearizer = Linearizer(problem)
+        self._blocks = self._linearizer.frames + np.arange(len(problem.observations) + len(problem.pose_factors))
+
+    def at(self, values: gtsam.Values) -> _At:
+        """The problem linearized at an estimate."""
+        rows = self._linearizer(values)
+        every = (rows.b[:, :, 0] ** 2).sum(axis=1)
+        square = every[self._blocks]
+        rest = every.sum() - square.sum() + (self._linearizer.constants(values) ** 2).sum()
+        return _At(values, rows, square, float(rest))
+
+    def search(self, values: gtsam.Values, threshold: Array) -> tuple[gtsam.Values, BoolArray]:
+        """The estimate reached from `values`, and which measurements, with thresholds (k,) of their squared whitened
+        residuals, have a weight above one half there. The control parameter starts from the residuals at `values`.
+        """
+        now = self.at(values)
+        share = now.square / threshold
+        largest = float(share.max(initial=0.0))
+        if largest <= 1.0:
+            return values, np.ones(len(threshold), np.bool_)
+        mu = 1.0 / max(2.0 * largest - 1.0, 1.0)
+        for _ in range(ROUNDS):
+            # Weights (k,) of squared residuals in thresholds (eq. 14 of the paper).
+            low, high = mu / (mu + 1.0), (mu + 1.0) / mu
+            middle = np.sqrt(mu * (mu + 1.0) / np.maximum(share, low)) - mu
+            weight = np.where(share <= low, 1.0, np.where(share >= high, 0.0, np.clip(middle, 0.0, 1.0)))
+            now = self._step(now, weight)
+            share = now.square / threshold
+            if mu > 1.0 and ((weight == 0.0) | (weight == 1.0)).all():
+                break
+            mu *= GROW
+        return now.values, weight > 0.5
+
+    def _step(self, now: _At, weight: Array) -> _At:
+        """One Gauss-Newton step of the weighted problem, shortened until its cost falls; none if no share helps."""
+        linearizer, scale = self._linearizer, np.ones(len(now.rows.b))
+        scale[self._blocks] = np.sqrt(np.maximum(weight, LEAST))
+        rows = now.rows._replace(A=now.rows.A * scale[:, None, None], b=now.rows.b * scale[:, None, None])
+        triangle = eliminate(rows, linearizer.structure)
+        if triangle.free >= 0:
+            return now
+        solution = solve(rows, linearizer.structure, triangle, linearizer.constants(now.values))
+        step = linearizer.step(linearizer.tangent(solution, now.values), solution.constants)
+        share, cost = 1.0, now.cost(weight)
+        while share > SHORTEST:
+            moved = self.at(linearizer.moved(now.values, step.scale(share)))
+            if moved.cost(weight) < cost:
+                return moved
+            share *= 0.5
+        return now
+
+
+PROBABILITY = 0.99  # of the chi-square quantile beyond which a measurement is rejected
+
+
+def gnc(
+    inputs: Inputs, decisions: IntArray, created: IntArray, start: Start, *, probability: float = PROBABILITY
+) -> tuple[Smoothed, BoolArray]:
+    """The exact optimum over the accepted measurements, and which observations those are: (M,), False where unused.
+    Those of fixes and closures are in the result.
+
+    Conventions of `graph.batch.smooth`. Prior, motion and known landmarks are trusted. A measurement is rejected if its
+    squared whitened residual, at this optimum, is not below the chi-square quantile of `probability`; so chi-square and
+    covariances are slightly too small, chi-square as `Smoothed.gated` says. A landmark without accepted observations
+    leaves the map. It is a local method: consistent wrong pairings can win.
+
+    Raises `UnderConstrained`, DataError for a singular covariance, ValueError for a probability not in (0, 1).
+    """
+    problem = build(inputs, decisions, created)
+    graduated = Graduated(problem)
+    dims = [s.dims for s in problem.observations] + [len(p.entries) for p in problem.pose_factors]
+    threshold = np.array([gate_threshold(probability, d) for d in dims], float)
+    used = np.flatnonzero(np.where(created >= 0, created, decisions) >= 0)
+    if problem.motion.names:
+        # with wrong errors, right pairings would be rejected
+        start = end_of(smooth(inputs, decisions, created, start, loss="huber"), start.landmark, inputs.map)
+    values, believed = graduated.search(problem.values(start), threshold)
+    start = problem.start_of(values, start.landmark)
+    # block-coordinate descent on the truncated cost, from the last weights, which need not match the solution
+    before = np.inf
+    while True:
+        accepted = np.zeros(len(decisions), np.bool_)
+        accepted[used[believed[: len(used)]]] = True
+        kept = np.where(accepted, decisions, DISCARD), np.where(accepted, created, -1)
+        result = smooth(inputs, *kept, start, rejected=_rejected(problem, ~believed[len(used) :]))
+        start = end_of(result, start.landmark, inputs.map)
+        square = graduated.at(problem.values(start)).square
+        if result.map is not None and not problem.priors:
+            # a landmark without accepted observations has no position
+            square[: len(used)][~np.isin([s.number for s in problem.observations], result.map.number)] = np.inf
+        cost = float(np.minimum(square, threshold).sum())
+        believed, last = square < threshold, believed
+        if (believed == last).all() or not cost < before:
+            return _truncated(result, np.array(dims)[last], probability), accepted
+        before = cost
+
+
+def _truncated(result: Smoothed, dims: Array, probability: float) -> Smoothed:
+    """The result with what its chi-square, and each NIS, are expected to be, of believed measurements (k,).
+
+    With a measurement the cost is larger by its NIS against all others, and without it by the threshold. So at the
+    minimum it is believed where its NIS is below the threshold: a truncated chi-square variable.
+    """
+    each = np.array([truncated_square(gate_threshold(probability, int(d)), int(d)) for d in dims]).reshape(-1, 2)
+    mean, variance = (each.sum(axis=0) / max(int(dims.sum()), 1)).tolist()
+    fixes, closures = (None if of is None else of._replace(gate=probability) for of in (result.fixes, result.closures))
+    return replace(result, gated=(mean, variance) if len(dims) else None, fixes=fixes, closures=closures)
+
+
+def _rejected(problem: Problem, out: BoolArray) -> Rejected:
+    """Of fixes and closures (k,) in the order of the problem."""
+    closure = np.array([p.closure for p in problem.pose_factors], np.bool_)
+    fixes, closures = out[~closure], out[closure]
+    return Rejected(fixes if len(fixes) else None, closures if len(closures) else None)

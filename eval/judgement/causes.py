@@ -9,7 +9,7 @@ from data.notice import Code
 from data.sensors import RangeBearing
 from eval.referee.attribution import ASSOCIATIONS, CONTRADICTED, ESTIMATOR, NOTHING, UNLISTED, UNTELLABLE, Finding
 from eval.referee.score import Trial
-from eval.referee.sources.residuals import source_in
+from eval.referee.sources import source_in
 from eval.replay.settings import ESTIMATORS, FILTERS, associations
 from eval.studies.diagnosis import Trust
 from eval.studies.sampled import PLAIN, STAND_IN

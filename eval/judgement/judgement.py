@@ -36,7 +36,7 @@ from eval.referee.errors import position_distance, rms
 from eval.referee.lost import informed
 from eval.referee.result_files import Row, is_blank, rows_of, value_of
 from eval.referee.score import Scores, Trial, score
-from eval.referee.sources.scored import has_sources
+from eval.referee.sources import has_sources
 from eval.replay.settings import INCREMENTAL
 from eval.studies.diagnosis import Trust, contradicted
 

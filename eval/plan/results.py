@@ -35,9 +35,8 @@ from data.notice import Code, Notice, notice
 from data.se2 import Array
 from eval.plan.flags.table import Matching, Results, Scoring
 from eval.referee.given.in_space import NONE
-from eval.referee.given.pairing import Pair, about_file, about_pair, called, same_clock, same_frames
+from eval.referee.given.pairing import Pair, about_file, about_pair, called, same_clock, same_frames, time_offset
 from eval.referee.given.runs import GivenRun, MapAndDecisions, TruePath, given_run, truth_log, with_truth
-from eval.referee.given.time_offset import time_offset
 from eval.referee.score import Trial
 from eval.replay.flag import rows
 from eval.replay.settings import ESTIMATORS

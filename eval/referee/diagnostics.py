@@ -25,7 +25,7 @@ from eval.referee.metrics import RUN
 from eval.referee.residuals import smoothed_residuals, used_by
 from eval.referee.result_files import NOTICES
 from eval.referee.score import Scores, Trial, score
-from eval.referee.sources.scored import source_notices
+from eval.referee.sources import source_notices
 
 CROWDED = 0.5
 """Share of landmarks close to another one. With right labels it is at most 0.23 (Victoria Park; 0 in other logs); with

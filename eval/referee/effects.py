@@ -18,7 +18,7 @@ from data.result import Systematics
 from data.se2 import Array
 from data.sensors import RELATIVE_POINT
 from eval.referee.residuals import Used, rate_of
-from eval.referee.sources.residuals import columns
+from eval.referee.sources import columns
 from graph.qr.score_test import OfPoses, Score, systematic
 
 DELAYS, MOUNT = ("latency", "latency_growth"), ("mount_x", "mount_y")

@@ -28,8 +28,7 @@ from eval.referee.attribution import NOISE, Finding, of_variance
 from eval.referee.consistency import successive
 from eval.referee.effects import Effect, Scored, effects, poses_of, score_of, without
 from eval.referee.residuals import COMPONENTS, OUTLYING, Residuals, Used, correlation, smoothed_residuals
-from eval.referee.sources.residuals import OfSource, key_of, of_sources
-from eval.referee.sources.scored import CLOSURE, sources_of
+from eval.referee.sources import CLOSURE, OfSource, key_of, of_sources, sources_of
 from graph.qr.score_test import Redundancy, redundancy
 
 ALIKE = 3.0

@@ -28,7 +28,7 @@ from eval.referee.lost import lost, unused
 from eval.referee.metrics import OF_DECISIONS, RUN
 from eval.referee.proper_scores import mean_scores
 from eval.referee.relations import relation_rows
-from eval.referee.sources.scored import source_rows
+from eval.referee.sources import source_rows
 
 HEADS = ("estimator", "association", "phase", "status", "position RMSE [m]", "pose NEES (3 expected)")
 SHOWN = (*RUN, "status", "rmse_position_m", "rmse_heading_deg", "nees_pose", "nis")

@@ -18,11 +18,10 @@ from data.inputs import Inputs
 from data.motion.systematic import corrected_inputs
 from data.result import Run, Trajectory
 from data.se2 import Array, BoolArray
-from eval.referee import effects, residuals
+from eval.referee import effects, residuals, sources
 from eval.referee.consistency import correlations, gated, lag1_correlation
 from eval.referee.score import nis_of
-from eval.referee.sources import residuals as source_residuals
-from eval.referee.sources.scored import SourceScore, score_source, sources_of
+from eval.referee.sources import SourceScore, key_of, score_source, sources_of
 
 SHARE = 0.01  # least reduction of the filter's variance by later data, as a share, in a direction that is compared
 TOLERANCE = 1e-6  # rounding of the eigenvalues of P_f - P_s, as a share of P_f
@@ -134,7 +133,7 @@ def of_online(run: Run, smoother: Run | None, inputs: Inputs) -> dict[str, Stati
         if math.isfinite(r):
             result["innovation_lag1"] = Statistic(r, 0.0, error)
     for source in sources_of(inputs):
-        result |= _of_source(score_source(run, source, "online"), source_residuals.key_of(source))
+        result |= _of_source(score_source(run, source, "online"), key_of(source))
     if run.online is not None and smoother is not None and smoother.final is not None:
         result |= filter_smoother(difference(run.online, smoother.final))
     if run.online is not None and run.final is not None:
@@ -167,7 +166,7 @@ def of_smoother(run: Run, inputs: Inputs) -> dict[str, Statistic]:
     used = residuals.used_by(run, inputs)
     rest = corrected_inputs(inputs, run.errors_final)
     found = residuals.smoothed_residuals(rest, path, used)
-    every = residuals.summaries(found, rest, used) | source_residuals.summaries(rest, path, used)
+    every = residuals.summaries(found, rest, used) | sources.summaries(rest, path, used)
     for name, value in every.items():
         result[name] = Statistic(value, 0.0 if name.endswith("_mean") else math.nan)
     for name, (value, error) in effects.scored(inputs, path, used, run.errors_final).slopes().items():

@@ -12,12 +12,10 @@ from data.notice import Code, notice, stopped
 from data.result import DISCARD, Failure, Run, Trajectory, map_estimate, map_with
 from data.se2 import Array, BoolArray
 from eval.replay.settings import ESTIMATOR_TABLE
-from graph.batch import Rejected, landmark_starts, smooth
-from graph.chordal import chordal_path
+from graph.batch import PROBABILITY, Rejected, chordal_path, gnc, landmark_starts, smooth
 from graph.factors import UnderConstrained
 from graph.optimum import STEP, NotConvergedError, Smoothed
 from graph.problem import Start
-from graph.robust import PROBABILITY, gnc
 
 LOWER = 1e-6  # relative difference of cost by which a lower minimum is another one
 

@@ -10,7 +10,7 @@ from eval.referee.consistency import MARKS
 from eval.referee.metrics import OF_DECISIONS, RUN, heads, is_share, metric
 from eval.referee.result_files import Row, is_blank, rows_of, value_of
 from eval.report.page.blocks import Table
-from eval.report.page.tables import drop_blank_columns, interval, number
+from eval.report.page.files import drop_blank_columns, interval, number
 from eval.report.words import paragraph
 
 NAMES = (*RUN, "status")

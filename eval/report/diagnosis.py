@@ -19,8 +19,7 @@ from eval.referee import battery
 from eval.referee.score import Trial
 from eval.replay.settings import BATCH, FILTERS, associations
 from eval.report.page.blocks import Block, Picture, Section, folded
-from eval.report.page.files import SYSTEMATIC, stem, written_table
-from eval.report.page.tables import drop_blank_columns, number
+from eval.report.page.files import SYSTEMATIC, drop_blank_columns, number, stem, written_table
 from eval.report.words import fine_print, plus_minus, say
 from eval.studies.diagnosis import SHARES, Blame, Row, Trust
 

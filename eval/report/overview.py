@@ -16,8 +16,7 @@ from eval.referee.consistency import FIT, LARGE, OVERCONFIDENT
 from eval.referee.score import Trial
 from eval.report.diagnosis import HEADING, first_words
 from eval.report.page.blocks import Block, Cell, Mark, Overview, OverviewRow, Section, Sketch, Value, anchor, folded
-from eval.report.page.files import stem
-from eval.report.page.tables import number
+from eval.report.page.files import number, stem
 from eval.report.words import paragraph
 from eval.studies.diagnosis import Trust
 

@@ -20,7 +20,7 @@ from markupsafe import Markup, escape
 
 from eval.figures.figure_style import FOR_PHONE
 from eval.report.page import blocks
-from eval.report.page.tables import is_numeric, markdown, markdown_escape, texts
+from eval.report.page.files import is_numeric, markdown, markdown_escape, texts
 from eval.report.words import environment, template_text
 
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"

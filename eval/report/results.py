@@ -34,8 +34,7 @@ from eval.referee.score import Trial, metrics_row
 from eval.referee.space_scores import CONVENTIONS, columns_in_space
 from eval.referee.space_scores import ERRORS as NAMED
 from eval.report.page.blocks import Table
-from eval.report.page.files import stem, written_table
-from eval.report.page.tables import drop_blank_columns
+from eval.report.page.files import drop_blank_columns, stem, written_table
 from eval.report.words import paragraph, say
 from eval.studies.montecarlo import Sample, verdicts
 

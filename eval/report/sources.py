@@ -12,8 +12,7 @@ from eval.referee.result_files import Row, rows_of, value_of
 from eval.referee.score import Scores, Trial
 from eval.replay.settings import FILTERS
 from eval.report.page.blocks import Section
-from eval.report.page.files import stem, written_table
-from eval.report.page.tables import drop_blank_columns, interval
+from eval.report.page.files import drop_blank_columns, interval, stem, written_table
 from eval.report.words import of_runs, paragraph, say
 
 HEADS = {

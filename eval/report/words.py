@@ -17,7 +17,7 @@ from data.wing import template_folders
 from data.words import number, sentence, title
 from eval.figures.figure_style import tex_escape
 from eval.report.page.blocks import FinePrint
-from eval.report.page.tables import interval
+from eval.report.page.files import interval
 
 GREEK: dict[str, str | int | None] = {"ω": r"$\omega$", "φ": r"$\varphi$", "ψ": r"$\psi$", "Δ": r"$\Delta$"}
 

@@ -27,8 +27,7 @@ from eval.referee.explanations import Evidence
 from eval.referee.plausibility import with_plausibility
 from eval.referee.residuals import COMPONENTS, Used
 from eval.referee.result_files import TRUST
-from eval.referee.sources.residuals import of_sources
-from eval.referee.sources.scored import has_sources
+from eval.referee.sources import has_sources, of_sources
 from eval.referee.truth_free import Key, Statistic
 from eval.replay.batch import batch
 from eval.replay.settings import Setup

@@ -8,8 +8,7 @@ from eval.replay.settings import Setup
 from wings.robot.driving import WallFollower
 from wings.robot.live.feed import Feed, Server, header
 from wings.robot.live.session import Session
-from wings.robot.simulated.physics import drive
-from wings.robot.simulated.room import room
+from wings.robot.simulated import drive, room
 
 pytestmark = pytest.mark.browser
 

@@ -40,8 +40,8 @@ from tests.wings.laser.formats.carmen_text import SMALL
 from tests.wings.robot.line import linked
 from wings.camera.lab.folder import open_lab
 from wings.robot.packets import command_of
-from wings.robot.simulated.physics import Lidar
-from wings.robot.traffic.recording import Recording
+from wings.robot.simulated import Lidar
+from wings.robot.traffic import Recording
 
 CONFIG = """
 log = ["arena:0"]

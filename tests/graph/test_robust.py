@@ -12,9 +12,8 @@ from data.inputs import Increments
 from data.result import DISCARD
 from data.worlds.arena import Arena, simulate
 from ekf.whole_run import run_filter
-from graph.batch import smooth
+from graph.batch import gnc, smooth
 from graph.problem import Start
-from graph.robust import gnc
 from tests.graph.driving import both_tasks, for_task
 from tests.graph.worlds import SENSORS, circle
 from tests.quick import slow

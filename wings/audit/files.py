@@ -19,7 +19,7 @@ from data.formats.graph_file import IN_SPACE, POINT2, POINT3, POSE2, POSE3, Edge
 from data.inputs import IntArray
 from data.origin import Origin
 from data.se2 import Array
-from graph.chordal import chordal
+from graph.batch import chordal
 from wings.audit.linear import System, factorize, linearize, ordering, step, value_of
 
 

@@ -17,10 +17,10 @@ from data.sensors import RelativePoint
 from data.terminal import counted
 from data.truth import Truth
 from data.worlds import registry
+from wings.camera.detector import outlined, png_of
 from wings.camera.gallery import Gallery, inputs_of
 from wings.camera.lab.folder import LabRecording, open_lab
 from wings.camera.observations import cached, find_pictures, log_of
-from wings.camera.outlined import outlined, png_of
 from wings.camera.rendering.render import Rendered
 
 if TYPE_CHECKING:

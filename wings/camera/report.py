@@ -33,10 +33,9 @@ from eval.figures.style import SINGLE, across, drawing, page_width, save, save_f
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, Formula, Picture, Section
-from eval.report.page.files import stem, written_table
-from eval.report.page.tables import drop_blank_columns
+from eval.report.page.files import drop_blank_columns, stem, written_table
 from eval.report.words import one_line, say, template_text
-from wings.camera.outlined import outlined
+from wings.camera.detector import outlined
 
 CAPTION, LINE = 6.5, 0.115  # pt, in. A tile's caption, and the height of a line of it
 

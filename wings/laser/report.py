@@ -32,8 +32,7 @@ from eval.referee.given.runs import GivenRun
 from eval.referee.relations import ALL, ROW, relation_rows
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
-from eval.report.page.files import stem, written_table
-from eval.report.page.tables import number
+from eval.report.page.files import number, stem, written_table
 from eval.report.words import say
 from wings.laser.scans.constraints import KEPT, LaserRun, Loops
 from wings.laser.scans.occupancy import Grid, occupancy_grid

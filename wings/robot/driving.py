@@ -1,7 +1,7 @@
 """Wall following by sonar: the speed and turn rate to command after each packet.
 
 A policy is called as `policy(packet)` and returns speed [m/s] and turn rate [rad/s], counter-clockwise.
-`wings.robot.simulated.physics.drive` and the live link take one. `WallFollower` keeps the wall on its right.
+`wings.robot.simulated.drive` and the live link take one. `WallFollower` keeps the wall on its right.
 """
 
 import math
@@ -11,7 +11,7 @@ import numpy as np
 
 from data.se2 import Array, wrap_angle
 from wings.robot.packets import AHEAD, RADIUS, RIGHT, SONARS
-from wings.robot.traffic.stream import Packet
+from wings.robot.traffic import Packet
 from wings.robot.walls import FITS, SIGMA, USUAL_FIT, sensor_poses, visible
 
 SPEED = 0.22  # m/s along a wall: 5.5 cm per packet, two rounds of a 10 x 6 m room in five minutes

@@ -16,7 +16,7 @@ from data.se2 import Array, BoolArray, wrap_angle
 from wings.laser.scans.occupancy import Grid, occupancy_grid
 from wings.robot.driving import SPIN
 from wings.robot.packets import AHEAD, FASTEST, PERIOD, RADIUS
-from wings.robot.traffic.stream import Packet
+from wings.robot.traffic import Packet
 
 CELL = 0.1  # m
 ROOM = RADIUS + 0.5 * CELL  # m from the robot's centre to an occupied cell: its body, and half a cell

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 
 from data.errors import UsageError
 from wings.robot.packets import ANSWER_TIMEOUT, BAUD, LIDAR_BAUD, PERIOD, Command, encode_command, framed
-from wings.robot.traffic.recording import GONE, OPENED, RECEIVED, SENT, Record, Recording
-from wings.robot.traffic.stream import Exchange, Packet
+from wings.robot.traffic import GONE, OPENED, RECEIVED, SENT, Exchange, Packet, Record, Recording
 
 if TYPE_CHECKING:
     from serial import Serial

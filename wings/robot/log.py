@@ -24,8 +24,7 @@ from data.sensors import Line
 from data.truth import Truth
 from wings.robot.observe import SLIP, WallObserver
 from wings.robot.packets import FASTEST, FASTEST_TURN, LONGEST_RANGE, RADIUS, WATCHDOG, WHEEL_BASE
-from wings.robot.traffic.recording import HEADER, PACKETS, read_recording
-from wings.robot.traffic.stream import Packet, decoded
+from wings.robot.traffic import HEADER, PACKETS, Packet, decoded, read_recording
 from wings.robot.walls import SIGMA, USUAL_FIT
 
 SENSOR = Line(max_range=LONGEST_RANGE + RADIUS)  # distances are from the robot's centre; the sonars sit on its rim

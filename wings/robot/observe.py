@@ -21,10 +21,10 @@ import numpy as np
 from data.inputs import FrameObservations, IntArray
 from data.se2 import Array, between, compose, wrap_angle
 from wings.robot.packets import CONE_HALF_ANGLE, SONARS, WHEEL_BASE
-from wings.robot.traffic.stream import Packet
+from wings.robot.traffic import Packet
 from wings.robot.walls import FITS, MIRROR, SIGMA, USUAL_FIT, Line, echo_points, fit_author, geometry, visible
 
-SLIP = 0.005  # m per sqrt(m) of a wheel's travel, as of the simulated robot (`wings.robot.simulated.physics`)
+SLIP = 0.005  # m per sqrt(m) of a wheel's travel, as of the simulated robot (`wings.robot.simulated`)
 FEWEST = 5  # fewest readings of a line: two fix it, three check it
 LONGEST = 0.8  # m, longest travel of either wheel since the oldest reading of a line
 OLDEST = 64  # most packets kept: 16 s

@@ -35,7 +35,7 @@ SONARS: Array = np.stack(
 """Poses (8, 3) of the sonars on the body [m, m, rad], counter-clockwise from the one ahead.
 
 At 45 degree steps one sonar is always within 22.5 degrees of a wall's normal, the limit at which a smooth wall returns
-an echo (`wings.robot.simulated.physics`).
+an echo (`wings.robot.simulated`).
 """
 SONARS.setflags(write=False)
 AHEAD, RIGHT = 0, 6  # rows of `SONARS`

@@ -20,7 +20,7 @@ from data.terminal import ending
 
 if TYPE_CHECKING:
     from wings.robot.link import Clock
-    from wings.robot.simulated.wire import Wire
+    from wings.robot.simulated import Wire
 
 TRUTH_PERIOD = 0.05  # s of robot time between rows of the truth
 LONGEST_WAIT = 0.05  # s of real time to wait for a byte before the robot moves on
@@ -143,9 +143,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     import numpy as np
 
     from wings.robot.link import Clock
-    from wings.robot.simulated.physics import Lidar, Robot
-    from wings.robot.simulated.room import floor_of, room
-    from wings.robot.simulated.wire import Faults, Wire
+    from wings.robot.simulated import Faults, Lidar, Robot, Wire, floor_of, room
 
     body, line = np.random.default_rng(args.seed).spawn(2)
     place = (room if world[1] == "walls" else floor_of)(int(world[2]))

@@ -18,7 +18,7 @@ import numpy as np
 from data.se2 import Array, between, compose, wrap_angle
 from wings.robot.packets import CONE_HALF_ANGLE, SONARS
 
-SIGMA = 0.005  # m, standard deviation of a distance, as of the simulated sonars (`wings.robot.simulated.physics`)
+SIGMA = 0.005  # m, standard deviation of a distance, as of the simulated sonars (`wings.robot.simulated`)
 MIRROR = math.radians(15.0)
 """rad, largest angle between an echo and the wall's normal at which a smooth wall returns the sound."""
 WELSCH = 2.985

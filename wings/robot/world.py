@@ -17,8 +17,7 @@ from data.worlds.parameters import check_parameters
 from wings.robot.driving import WallFollower
 from wings.robot.log import SENSOR, Framing, Noise, inputs_of
 from wings.robot.packets import PERIOD
-from wings.robot.simulated.physics import Physics, drive
-from wings.robot.simulated.room import Room, room
+from wings.robot.simulated import Physics, Room, drive, room
 from wings.robot.walls import FITS, USUAL_FIT
 
 SAME = 1e-6  # m, rad. Sides nearer to one line are one wall.

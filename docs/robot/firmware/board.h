@@ -36,7 +36,7 @@
 #define PATIENCE_MS 880  /* after the last command the loop brakes: 100 ms to stand, and two steps */
 #define COMMAND_PAUSE_MS 50 /* of silence, after which a byte begins a command */
 
-/* Speed loop of wings/robot/simulated/physics.py: 4 duty per m/s are 43 of FULL_DUTY per tick per step; the integral
+/* Speed loop of wings/robot/simulated.py: 4 duty per m/s are 43 of FULL_DUTY per tick per step; the integral
    adds a tenth of that per step (step over the motor's time constant of 0.1 s). */
 #define FULL_DUTY 511 /* of 9 bits; 16 MHz / 2 / 511: PWM of 15.7 kHz */
 #define GAIN 43L

@@ -8,7 +8,7 @@ from data.se2 import between, wrap_angle
 from data.sensors import Line
 from data.truth import Truth
 from tests.builders.logs import increments_of, inputs_of, observations_of
-from wings.robot.simulated.room import room
+from wings.robot.simulated import room
 
 PERIOD = 0.25
 SPEED, RADIUS, CENTRE = 0.25, 1.6, np.array([3.1, 3.6])

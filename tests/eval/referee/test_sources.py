@@ -17,7 +17,7 @@ from eval.referee import consistency
 from eval.referee.diagnostics import notices
 from eval.referee.lost import unused
 from eval.referee.score import Trial, score
-from eval.referee.sources.scored import outcomes_of, score_source, scores_of, source_notices, sources_of
+from eval.referee.sources import outcomes_of, score_source, scores_of, source_notices, sources_of
 from eval.referee.truth_free import of_online
 from eval.replay.run import compare
 from tests.eval.handmade import FRAMES, circle_log, run_with_error

@@ -32,8 +32,7 @@ from eval.report.page.blocks import (
     anchor,
     folded,
 )
-from eval.report.page.files import write_table
-from eval.report.page.tables import cell_texts, drop_blank_columns, markdown
+from eval.report.page.files import cell_texts, drop_blank_columns, markdown, write_table
 from eval.report.render import write_report
 
 TABLE = pd.DataFrame({"estimator": ["ekf<1>", "batch"], "position RMSE [m]": [0.0991, None]}, dtype=object)

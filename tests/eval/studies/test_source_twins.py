@@ -12,8 +12,7 @@ from eval.compare import compare
 from eval.judgement.causes import side_of
 from eval.referee import residuals
 from eval.referee.explanations import evidence_of
-from eval.referee.sources import residuals as source_residuals
-from eval.referee.sources.residuals import source_in
+from eval.referee.sources import of_sources, source_in
 from eval.replay.settings import Setup
 from eval.studies.diagnosis import _best, with_all_sources
 from eval.studies.twins import inputs_of, source_of, twin
@@ -60,7 +59,7 @@ def test_no_twin_has_outliers_even_if_its_log_has(log):
     every = replace(used, fixes=drawn.truth.fix_inlier == 1, closures=drawn.truth.closure_inlier == 1)
     assert every.fixes.all()
     assert every.closures.all()
-    for of in source_residuals.of_sources(drawn.recorded, source.path, every):
+    for of in of_sources(drawn.recorded, source.path, every):
         assert not (of.squared > of.outlying).any()
 
 

@@ -8,9 +8,8 @@ from data.inputs import Increments, Inputs, Observations, Prior
 from data.pose_measurements import Closures
 from data.se2 import between, compose, wrap_angle
 from data.sensors import RangeBearing
-from graph.batch import smooth
+from graph.batch import gnc, smooth
 from graph.problem import Start
-from graph.robust import gnc
 
 SIGMA_CHAIN = np.array([0.02, 0.02, 0.004])
 SIGMA_LOOP = np.array([0.03, 0.03, 0.006])

@@ -13,11 +13,10 @@ from data.result import NEW
 from data.sensors import Line
 from eval.referee.consistency import CONSISTENT, nees, verdict
 from graph.bare_loop import bare_isam2
-from graph.batch import smooth
+from graph.batch import gnc, smooth
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 from graph.problem import Start
-from graph.robust import gnc
 from tests.graph.driving import TIGHT, both_tasks, drive, for_task, lagged, parted
 from tests.graph.walls.worlds import (
     R_ROOM,

@@ -16,7 +16,7 @@ from graph.problem import Start
 from tests.graph.calibrating import logarithm
 from tests.graph.driving import for_task
 from tests.graph.worlds import OFF_CENTRE, circle, order_of_creation
-from wings.robot.simulated.room import room
+from wings.robot.simulated import room
 
 SENSORS = {"centred": Line(max_range=8.0), "off centre": Line(max_range=8.0, **OFF_CENTRE)}
 WALLS = np.array([[6.0, 0.2], [5.0, 1.7], [7.0, 3.0], [4.0, -2.0], [1.5, -0.9]])

@@ -5,9 +5,7 @@ import math
 import numpy as np
 
 from wings.robot.link import Link
-from wings.robot.simulated.physics import Robot
-from wings.robot.simulated.room import room
-from wings.robot.simulated.wire import Faults, Wire
+from wings.robot.simulated import Faults, Robot, Wire, room
 
 CALM = Faults()
 

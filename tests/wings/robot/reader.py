@@ -9,7 +9,7 @@ from pathlib import Path
 
 from wings.robot.link import Clock, Link
 from wings.robot.packets import command_of
-from wings.robot.traffic.recording import Recording
+from wings.robot.traffic import Recording
 
 
 class Telling(Recording):

@@ -11,9 +11,8 @@ from wings.robot.exploring import CELL, ROOM, Explorer, path_to_frontier
 from wings.robot.live.scanning import ScanEstimating
 from wings.robot.live.session import Session
 from wings.robot.packets import PERIOD, command_of
-from wings.robot.simulated.physics import Lidar, Robot
-from wings.robot.simulated.room import floor_of, room
-from wings.robot.traffic.stream import Unwrapper
+from wings.robot.simulated import Lidar, Robot, floor_of, room
+from wings.robot.traffic import Unwrapper
 
 NONE = np.empty((0, 2))
 

@@ -18,8 +18,7 @@ from tests.wings.robot.live.driven import Process, started, wait
 from wings.robot.link import Clock, Link
 from wings.robot.packets import FASTEST_WHEEL, PERIOD, SONARS, TIMEOUT_MM, WATCHDOG, WHEEL_BASE, command_of
 from wings.robot.simulate import Terminal, run
-from wings.robot.simulated.physics import METRES_PER_TICK, PATIENCE, STEP, turned
-from wings.robot.simulated.room import cast, room
+from wings.robot.simulated import METRES_PER_TICK, PATIENCE, STEP, cast, room, turned
 from wings.robot.walls import MIRROR
 
 ROOT = Path(__file__).parents[3]

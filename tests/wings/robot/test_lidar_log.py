@@ -10,9 +10,8 @@ from tests.wings.robot.line import linked
 from wings.robot.driving import WallFollower
 from wings.robot.log import complete
 from wings.robot.packets import command_of
-from wings.robot.simulated.physics import Lidar
-from wings.robot.simulated.wire import Faults
-from wings.robot.traffic.recording import Recording
+from wings.robot.simulated import Faults, Lidar
+from wings.robot.traffic import Recording
 
 
 @pytest.fixture(scope="module")

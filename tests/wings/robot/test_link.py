@@ -8,6 +8,7 @@ import pytest
 
 from data.errors import UsageError
 from tests.wings.robot.line import KeepingWire, StandingClock, WirePort, linked, wander
+from wings.robot import simulated
 from wings.robot.link import Link
 from wings.robot.packets import (
     BYTE_TIME,
@@ -19,12 +20,8 @@ from wings.robot.packets import (
     decode_answer,
     encode_command,
 )
-from wings.robot.simulated import wire as wires
-from wings.robot.simulated.physics import Robot
-from wings.robot.simulated.room import room
-from wings.robot.simulated.wire import Faults
-from wings.robot.traffic.recording import GONE, OPENED, RECEIVED, SENT, Record
-from wings.robot.traffic.stream import Exchange
+from wings.robot.simulated import Faults, Robot, room
+from wings.robot.traffic import GONE, OPENED, RECEIVED, SENT, Exchange, Record
 
 AHEAD = command_of(0.3, 0.0)
 
@@ -237,7 +234,7 @@ def test_bytes_are_dropped_and_single_bits_turn_over_as_often_as_is_said():
 
 
 def test_a_stall_makes_answers_late_loses_commands_and_lets_the_robot_stop(monkeypatch):
-    monkeypatch.setattr(wires, "BETWEEN_STALLS", 500)
+    monkeypatch.setattr(simulated, "BETWEEN_STALLS", 500)
     late, lost = 0, 0
     for seed in range(20):
         wire = lined(Faults(stall=3.0), seed)

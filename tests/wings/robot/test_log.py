@@ -13,9 +13,8 @@ from tests.wings.robot.line import linked
 from wings.robot.driving import WallFollower
 from wings.robot.log import Framing, Noise, complete
 from wings.robot.packets import command_of
-from wings.robot.simulated.wire import Faults
-from wings.robot.traffic.recording import HEADER, PACKETS, Recording, read_recording
-from wings.robot.traffic.stream import decoded
+from wings.robot.simulated import Faults
+from wings.robot.traffic import HEADER, PACKETS, Recording, decoded, read_recording
 
 NOISE = Noise(0.004, 0.006)
 

@@ -7,9 +7,8 @@ from data.se2 import between, wrap_angle
 from wings.robot.driving import WallFollower
 from wings.robot.log import FLOOR, ROUNDING, SENSOR, Framing, inputs_of
 from wings.robot.packets import FASTEST, Answer, overflowed
-from wings.robot.simulated.physics import drive
-from wings.robot.simulated.room import room
-from wings.robot.traffic.stream import Packet, Unwrapper, reachable
+from wings.robot.simulated import drive, room
+from wings.robot.traffic import Packet, Unwrapper, reachable
 from wings.robot.world import lines
 
 FAR = (4000,) * 8

@@ -34,7 +34,7 @@ from wings.robot.packets import (
     framed,
     next_frame,
 )
-from wings.robot.traffic.stream import Framed
+from wings.robot.traffic import Framed
 
 SIZES = {MARKER: 22}
 

@@ -7,8 +7,22 @@ import pytest
 
 from data.se2 import compose
 from wings.robot.packets import PERIOD, RADIUS, SONARS, command_of
-from wings.robot.simulated.physics import FRICTION, FULL_SPEED, LAG, Lidar, Physics, Robot, SpeedLoop, drive, turned
-from wings.robot.simulated.room import GAP, Room, cast, clearance, room
+from wings.robot.simulated import (
+    FRICTION,
+    FULL_SPEED,
+    GAP,
+    LAG,
+    Lidar,
+    Physics,
+    Robot,
+    Room,
+    SpeedLoop,
+    cast,
+    clearance,
+    drive,
+    room,
+    turned,
+)
 
 IDEAL = Physics(slip=0.0, range_sigma=0.0, dropout=0.0, crosstalk=0.0)
 LARGE = Room(np.array([[[-99.0, -99.0], [-99.0, 99.0]]]), np.zeros(3))

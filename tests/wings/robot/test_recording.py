@@ -7,9 +7,19 @@ import pytest
 from data.errors import DataError, UsageError
 from tests.wings.robot.line import linked
 from wings.robot.packets import command_of
-from wings.robot.simulated.wire import Faults
-from wings.robot.traffic.recording import GONE, MAGIC, OPENED, RECEIVED, SENT, Record, Recording, read_recording
-from wings.robot.traffic.stream import Exchange, decoded
+from wings.robot.simulated import Faults
+from wings.robot.traffic import (
+    GONE,
+    MAGIC,
+    OPENED,
+    RECEIVED,
+    SENT,
+    Exchange,
+    Record,
+    Recording,
+    decoded,
+    read_recording,
+)
 
 RECORDS = [
     Record(OPENED, 0.0),

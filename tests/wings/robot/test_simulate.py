@@ -16,8 +16,7 @@ from tests.builders.processes import python
 from wings.robot.link import Clock, Link
 from wings.robot.packets import command_of
 from wings.robot.simulate import Terminal
-from wings.robot.traffic.recording import Recording, read_recording
-from wings.robot.traffic.stream import decoded
+from wings.robot.traffic import Recording, decoded, read_recording
 
 ROOT = Path(__file__).parents[3]
 

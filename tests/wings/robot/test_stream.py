@@ -8,9 +8,8 @@ import pytest
 
 from tests.wings.robot.line import wander
 from wings.robot.packets import Answer, encode_answer, framed, overflowed
-from wings.robot.simulated.physics import drive
-from wings.robot.simulated.room import room
-from wings.robot.traffic.stream import Framed, Unframed, reachable
+from wings.robot.simulated import drive, room
+from wings.robot.traffic import Framed, Unframed, reachable
 
 PERIOD = 0.25
 

@@ -10,9 +10,8 @@ from data.se2 import Array, between, compose, wrap_angle
 from wings.robot.driving import WallFollower
 from wings.robot.observe import WallObserver
 from wings.robot.packets import CONE_HALF_ANGLE, LONGEST_RANGE, PERIOD, RIGHT, SONARS, WHEEL_BASE, Answer
-from wings.robot.simulated.physics import Physics, drive
-from wings.robot.simulated.room import Room, cast, room
-from wings.robot.traffic.stream import Packet
+from wings.robot.simulated import Physics, Room, cast, drive, room
+from wings.robot.traffic import Packet
 from wings.robot.walls import FADING, MIRROR, SIGMA, WELSCH, echo_points, fit_author, fit_weighted, visible
 
 OFF = (-0.38, -0.2, -0.1, 0.0, 0.05, 0.13, 0.3)

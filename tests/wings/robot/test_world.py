@@ -8,9 +8,8 @@ from data.inputs import CLUTTER
 from data.logs import open_log
 from wings.robot.driving import SPEED, WANTED, WallFollower
 from wings.robot.packets import PERIOD, RADIUS, SONARS, Answer
-from wings.robot.simulated.physics import Physics, drive
-from wings.robot.simulated.room import Room, clearance, room
-from wings.robot.traffic.stream import Packet
+from wings.robot.simulated import Physics, Room, clearance, drive, room
+from wings.robot.traffic import Packet
 from wings.robot.walls import FITS
 
 

@@ -183,7 +183,7 @@ def _drive(wish: Namespace, presses: Presses, stack: ExitStack) -> None:
     from wings.robot.live.scanning import GridPainter, ScanEstimating
     from wings.robot.live.session import Session, Taken, estimates, rehearse
     from wings.robot.log import USUAL
-    from wings.robot.traffic.recording import Recording
+    from wings.robot.traffic import Recording
 
     setup, name = wish.options.setup, wish.out.absolute().name
     association = wish.by_walls or DEFAULTS["association"]

@@ -13,7 +13,7 @@ from wings.robot.live.feed import MINUTE, Feed, header
 from wings.robot.live.scanning import GridPainter
 from wings.robot.live.session import Latencies, Session, Step, Taken, estimator_words, latency_table, status_line
 from wings.robot.packets import PERIOD, WATCHDOG, Command, command_of
-from wings.robot.traffic.stream import Packet
+from wings.robot.traffic import Packet
 
 REST = Command(0, 0)
 SECOND = 1.0  # s of real time between status lines

@@ -34,9 +34,8 @@ from graph.incremental import Isam2Smoother
 from wings.robot.driving import WallFollower
 from wings.robot.log import SENSOR, USUAL, Framing, Noise, prior
 from wings.robot.packets import Scan
-from wings.robot.simulated.physics import Lidar, drive
-from wings.robot.simulated.room import room
-from wings.robot.traffic.stream import Packet
+from wings.robot.simulated import Lidar, drive, room
+from wings.robot.traffic import Packet
 from wings.robot.walls import USUAL_FIT
 
 ROBOT = Beginning(prior(), SENSOR)  # SLAM from the origin

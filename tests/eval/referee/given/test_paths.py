@@ -12,6 +12,7 @@ from data.logs import open_log
 from data.result import DISCARD, NEW, MapEstimate, Trajectory
 from eval.referee.consistency import nees
 from eval.referee.errors import TOLERANCE, pairs_by_way, rpe_columns
+from eval.referee.given.pairing import time_offset
 from eval.referee.given.runs import (
     TruePath,
     alignment,
@@ -24,7 +25,6 @@ from eval.referee.given.runs import (
     moved_map,
     moved_walls,
 )
-from eval.referee.given.time_offset import time_offset
 from eval.score import main as score
 
 TIME = np.array([0.0, 0.5, 1.0, 3.0, 3.5, 4.0, 4.5])

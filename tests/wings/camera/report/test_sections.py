@@ -10,12 +10,12 @@ from data.truth_windows import scored
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.report.page.blocks import Formula, Picture, Table
-from eval.report.page.tables import drop_blank_columns
+from eval.report.page.files import drop_blank_columns
 from eval.report.words import say
 from tests.eval.handmade import circle_log, run_with_error
 from tests.wings.camera.report.handmade import CORNERS, GREY, SQUARE, evidence
 from wings.camera import report as visual
-from wings.camera.outlined import YELLOW
+from wings.camera.detector import YELLOW
 from wings.camera.report import contact_sheet, detection_table, plan_figure, statistics_of, tiles_of, visual_sections
 
 

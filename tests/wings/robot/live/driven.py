@@ -24,10 +24,8 @@ from wings.robot.live import __main__
 from wings.robot.live.drive import drive as drive_on_line
 from wings.robot.live.session import Session
 from wings.robot.packets import PERIOD
-from wings.robot.simulated.physics import drive
-from wings.robot.simulated.room import room
-from wings.robot.simulated.wire import Faults
-from wings.robot.traffic.recording import Recording
+from wings.robot.simulated import Faults, drive, room
+from wings.robot.traffic import Recording
 
 FORK = multiprocessing.get_context("fork")
 BAD = Faults(0.002, 0.001, 0.0)

@@ -19,7 +19,7 @@ from wings.robot.driving import WallFollower
 from wings.robot.live.drive import Looking, drive
 from wings.robot.live.feed import Feed
 from wings.robot.live.session import Session, rehearse
-from wings.robot.traffic.recording import Recording
+from wings.robot.traffic import Recording
 
 SETUPS = {"ekf": Setup(deactivate_after=60.0), "fixed-lag": Setup(lag=30.0)}
 

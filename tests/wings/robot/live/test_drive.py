@@ -18,7 +18,7 @@ from wings.robot.live.drive import REST, Looking, Presses, at_rest, drive
 from wings.robot.live.feed import MINUTE, Feed
 from wings.robot.live.session import COLUMNS, Latencies, Session, Step, estimates, estimator_words, status_line
 from wings.robot.packets import AHEAD, PERIOD, SONARS, Answer, Command
-from wings.robot.traffic.stream import Packet
+from wings.robot.traffic import Packet
 
 
 class Scripted:

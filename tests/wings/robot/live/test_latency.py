@@ -13,8 +13,7 @@ from tests.wings.robot.live.driven import FORK, packets
 from tests.wings.robot.live.soak import soak
 from wings.robot.live.session import Session
 from wings.robot.packets import encode_answer
-from wings.robot.traffic.recording import RECEIVED, SENT, Record, Recording
-from wings.robot.traffic.stream import Exchange
+from wings.robot.traffic import RECEIVED, SENT, Exchange, Record, Recording
 
 WALLS = 100
 INVERSES = 4.0

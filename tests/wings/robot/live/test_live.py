@@ -26,7 +26,7 @@ from tests.wings.robot.live.driven import (
     written_bits,
 )
 from wings.robot.live import __main__
-from wings.robot.traffic.recording import GONE, OPENED, read_recording
+from wings.robot.traffic import GONE, OPENED, read_recording
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals and fork as Linux has them")
 FAST = ["--speed", "5"]

@@ -21,10 +21,8 @@ from wings.robot.live.drive import drive as drive_on_line
 from wings.robot.live.feed import Feed
 from wings.robot.live.scanning import EVERY, GridPainter, ScanEstimating
 from wings.robot.live.session import Session, latency_table, rehearse
-from wings.robot.simulated.physics import Lidar, drive
-from wings.robot.simulated.room import room
-from wings.robot.simulated.wire import Faults
-from wings.robot.traffic.recording import Recording
+from wings.robot.simulated import Faults, Lidar, drive, room
+from wings.robot.traffic import Recording
 
 SECONDS = 20.0
 

@@ -1,1 +1,0 @@
-"""Fixes and closures by source: what became of them, and their residuals."""
