@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from data.command import COMPLETION, Parser, complete
-from data.convert import bag, g2o, mrclam, named, table
+from data.convert import kinds as own
 from data.terminal import ending
 from data.wing import wings
 from data.worlds.registry import SIMULATORS
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 PROG = "python -m data.convert"
 OF_WINGS = (import_module(module) for wing in wings() for module in wing.conversions)
-SOURCES: tuple[Any, ...] = (mrclam, bag, table, g2o, named, *OF_WINGS)
+SOURCES: tuple[Any, ...] = (own, *OF_WINGS)
 """Modules with their KINDS, `add_parsers`, and `convert`: a log, or a sentence on a file written in another format."""
 
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from data.convert import table
+from data.convert.kinds import convert
 from data.errors import SlamrefError
 from data.formats.g2o import log_of, read_graph
 from data.formats.mrclam import load_mrclam
@@ -245,8 +245,8 @@ SEVERAL = {
 
 
 def read_tables(folder: Path) -> Any:
-    words = argparse.Namespace(source=folder / "robot.toml", out=folder / "out")
-    return table.convert(words).log
+    words = argparse.Namespace(kind="table", source=folder / "robot.toml", out=folder / "out")
+    return convert(words).log
 
 
 def read_config(folder: Path) -> Any:

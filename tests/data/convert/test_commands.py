@@ -11,7 +11,7 @@ import pytest
 
 from data.command import portable, without_places
 from data.convert.__main__ import main
-from data.convert.mrclam import CALIBRATION
+from data.convert.kinds import CALIBRATION
 from data.errors import DataError
 from data.formats.mrclam import FROZEN, Calibration, Treatment, load_mrclam
 from data.formats.open_log import load_folder
