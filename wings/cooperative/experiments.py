@@ -8,19 +8,7 @@ from typing import Any
 import numpy as np
 
 from data.errors import DataError, UsageError
-from data.formats.mrclam import (
-    ROBOTS,
-    Recorded,
-    Treatment,
-    corrected_landmarks,
-    is_mrclam,
-    open_files,
-    read_landmarks,
-    read_robot,
-    robot_file,
-    robot_log,
-    subjects_of,
-)
+from data.formats import mrclam
 from data.inputs import Inputs
 from data.log import Log
 from data.logs import Reading, as_scored
@@ -91,7 +79,7 @@ def named_team(name: str) -> list[Log]:
             raise UsageError(f"--cooperative {name}: a team needs two robots")
         return [replace(log, name=f"{name}-robot{k}") for k, log in enumerate(logs, 1)]
     path = Path(name)
-    if path.exists() and is_mrclam(path):
+    if path.exists() and mrclam.is_mrclam(path):
         return team_logs(path)
     right = "name a UTIAS MRCLAM dataset (its folder or zip), or arena:SEED:robots=5"
     raise UsageError(f"--cooperative {name}: no team of robots; {right}")
@@ -101,22 +89,22 @@ def team_logs(source: Path) -> list[Log]:
     """The logs of all robots of a dataset (folder or zip) with ground truth, ascending; each starts and ends as without
     the others, barcodes are sensed labels. DataError: missing or invalid files, or fewer than two.
     """
-    files = open_files(source)
-    there = [robot for robot in files.robots() if robot in ROBOTS]
-    true = [robot for robot in there if robot_file(robot, "Groundtruth") in files.names]
+    files = mrclam.open_files(source)
+    there = [robot for robot in files.robots() if robot in mrclam.ROBOTS]
+    true = [robot for robot in there if mrclam.robot_file(robot, "Groundtruth") in files.names]
     if len(true) < 2:
         named = ", ".join(map(str, true)) or "none"
         raise DataError.at(source, f"robots with odometry, measurements and ground truth: {named}; a team needs two")
-    treatment = Treatment(landmarks=corrected_landmarks(source))
-    survey, subjects = read_landmarks(files, treatment.landmarks), subjects_of(files)
-    given = [read_robot(files, true[0], subjects, treatment)]
-    given += [read_robot(files, robot, subjects, treatment, given[0].origin) for robot in true[1:]]
+    treatment = mrclam.Treatment(landmarks=mrclam.corrected_landmarks(source))
+    survey, subjects = mrclam.read_landmarks(files, treatment.landmarks), mrclam.subjects_of(files)
+    given = [mrclam.read_robot(files, true[0], subjects, treatment)]
+    given += [mrclam.read_robot(files, robot, subjects, treatment, given[0].origin) for robot in true[1:]]
     split = [_split(robot) for robot in given]
     instants = np.unique(np.concatenate([seen.at for _, seen in split]))
     logs = []
     for own, _ in split:
         also = instants[(instants >= own.first) & (instants <= own.last)]
-        logs.append(robot_log(source, files, survey, own, treatment, also))
+        logs.append(mrclam.robot_log(source, files, survey, own, treatment, also))
     seen, clocks = [], [log.clock for log in logs]
     for log, (_, robots) in zip(logs, split, strict=True):
         ticks, wanted = (np.rint(1e6 * t) for t in (log.recorded.time + log.clock, robots.at))
@@ -133,12 +121,12 @@ def team_logs(source: Path) -> list[Log]:
     return made
 
 
-def _split(given: Recorded) -> tuple[Recorded, Recorded]:
+def _split(given: mrclam.Recorded) -> tuple[mrclam.Recorded, mrclam.Recorded]:
     """What a robot observed of landmarks (and of nobody), and of robots while its log lasts."""
-    robots = np.isin(given.seen, ROBOTS)
+    robots = np.isin(given.seen, mrclam.ROBOTS)
     inside = (given.at >= given.first) & (given.at <= given.last)
 
-    def only(rows: np.ndarray) -> Recorded:
+    def only(rows: np.ndarray) -> mrclam.Recorded:
         return replace(given, at=given.at[rows], z=given.z[rows], seen=given.seen[rows], barcode=given.barcode[rows])
 
     return only(~robots), only(robots & inside)

@@ -26,18 +26,7 @@ from eval.referee.score import Trial, metrics_row
 from eval.report.page.blocks import Block, Picture, Section
 from eval.report.page.files import written_table
 from eval.report.words import paragraph
-from wings.camera.report import (
-    MOTION,
-    OBSERVATION,
-    UPDATE,
-    constants,
-    draw_pictures,
-    plan_figure,
-    sheet,
-    statistics_of,
-    summary,
-    write_models,
-)
+from wings.camera import report
 
 SHOWN = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")
 TEMPLATE = "labs/visual"
@@ -50,7 +39,7 @@ def visual_hand_in(folder: Path, output: Output, trials: Sequence[Trial]) -> lis
     trial = next((t for t in made if t.task == "localization"), None)
     if trial is None:
         return []
-    write_models(folder, output, trial.log)
+    report.write_models(folder, output, trial.log)
     return [_motion(folder, output, trial), _observation(folder, output, trial), _filter(folder, output, trial)]
 
 
@@ -110,7 +99,7 @@ def _motion(folder: Path, output: Output, trial: Trial) -> Section:
     if not output.no_plots:
         what = "dead reckoning alone, 3σ ellipses in their size"
         blocks.append(_plan(folder, trial, _shown(trial, ("dead-reckoning",)), "lab-motion", what))
-    blocks += [MOTION.formula, f"{MOTION.about} {constants(trial.log)}"]
+    blocks += [report.MOTION.formula, f"{report.MOTION.about} {report.constants(trial.log)}"]
     return Section("Question 1: How does the robot move, and how does its uncertainty grow?", tuple(blocks), facts=q)
 
 
@@ -121,9 +110,9 @@ def _observation(folder: Path, output: Output, trial: Trial) -> Section:
     q = {"pictures": len(found.frame), "frames": len(found.time), "observations": len(log.recorded.observations.frame)}
     blocks: list[Block] = [f"**{paragraph(f'{TEMPLATE}#observation', q=q)}**"]
     if not output.no_plots:
-        blocks += sheet(folder, log, log.evidence)
-    detected = summary(statistics_of(log.evidence), found, head="Found:")
-    blocks += [OBSERVATION.formula, f"{OBSERVATION.about} {detected}"]
+        blocks += report.sheet(folder, log, log.evidence)
+    detected = report.summary(report.statistics_of(log.evidence), found, head="Found:")
+    blocks += [report.OBSERVATION.formula, f"{report.OBSERVATION.about} {detected}"]
     return Section("Question 2: What does the camera see of a picture's corners?", tuple(blocks), facts=q)
 
 
@@ -150,7 +139,7 @@ def _filter(folder: Path, output: Output, trial: Trial) -> Section:
         table = table.drop(columns=list(HEADS[2:4]))
     caption = f"{log.name}, localization: position errors without alignment, and σ along the least certain direction."
     blocks.append(written_table(table, folder, "lab-question-3", caption, output))
-    blocks += [UPDATE.formula, UPDATE.about]
+    blocks += [report.UPDATE.formula, report.UPDATE.about]
     heading = "Question 3: Where was the robot, and how sure is the filter of it?"
     return Section(heading, tuple(blocks), facts={"runs": found, "certainty": sure})
 
@@ -167,9 +156,11 @@ def _plan(folder: Path, trial: Trial, runs: Sequence[Run], stem: str, what: str,
     corners = log.evidence.setup.corners
     # the map figure shows how sure estimators are, and dead reckoning is none
     if [r.estimator for r in runs] == ["dead-reckoning"]:
-        draw = partial(map_figure, log, runs, surveyed=lambda ax: [*draw_pictures(ax, corners), *_grown(ax, runs[0])])
+        draw = partial(
+            map_figure, log, runs, surveyed=lambda ax: [*report.draw_pictures(ax, corners), *_grown(ax, runs[0])]
+        )
     else:
-        draw = partial(plan_figure, log, runs, corners, factor=factor)
+        draw = partial(report.plan_figure, log, runs, corners, factor=factor)
     save_for_page(draw, folder / "figures", stem)
     return Picture(stem, f"`{log.name}`: {what}. World frame, no alignment.", f"Plan of {log.name}: {what}")
 

@@ -11,20 +11,12 @@ from collections.abc import Sequence
 import numpy as np
 import scipy
 
+from data import se2
 from data.inputs import Inputs, IntArray, Scans
 from data.log import Log
 from data.notice import Code, Notice, Value, notice
 from data.result import Run
-from data.se2 import (
-    Array,
-    BoolArray,
-    between,
-    compose,
-    covariances_in_world,
-    dead_reckoned,
-    pose_error,
-    transform_points,
-)
+from data.se2 import Array, BoolArray
 from eval.referee.consistency import right_relatives
 from eval.referee.relations import errors
 from eval.referee.score import Trial
@@ -56,7 +48,7 @@ def wrong_closures(run: LaserRun, truth: Array | None) -> BoolArray | None:
 def knowable(loops: Loops, truth: Array, points: Sequence[Array]) -> BoolArray:
     """Which loop closures (L,) join key poses whose scans (P, 2) overlap at the true poses (K, 3)."""
     pairs = zip(loops.key1.tolist(), loops.key2.tolist(), strict=True)
-    return np.array([fits(points[a], points[b], between(truth[a], truth[b])) for a, b in pairs], np.bool_)
+    return np.array([fits(points[a], points[b], se2.between(truth[a], truth[b])) for a, b in pairs], np.bool_)
 
 
 def scan_points_of(scans: Scans, frames: IntArray) -> list[Array]:
@@ -70,7 +62,7 @@ def fits(first: Array, second: Array, relative: Array) -> bool:
     """Whether two scans (P, 2), (Q, 2) overlap at the relative pose (3,) of the second in the first's frame."""
     if not len(first) or not len(second):
         return False
-    moved = transform_points(relative, second)
+    moved = se2.transform_points(relative, second)
     ways = (first, moved), (moved, first)
     apart = (scipy.spatial.cKDTree(a).query(b, distance_upper_bound=FIT)[0] for a, b in ways)
     return all(float(np.mean(each <= FIT)) >= OVERLAP for each in apart)
@@ -105,12 +97,12 @@ def against_wheels(run: LaserRun, inputs: Inputs) -> Notice | None:
     if inputs.scans is None or run.chain is None or not inputs.increments.mean.any():
         return None
     chain, at = run.chain, inputs.scans.frame
-    path = compose(dead_reckoned(np.zeros(3), chain.motion)[chain.key], chain.since)
-    wheels = dead_reckoned(np.zeros(3), inputs.increments.mean)
-    told, found = between(wheels[at[:-1]], wheels[at[1:]]), between(path[at[:-1]], path[at[1:]])
-    error = pose_error(found, told)
+    path = se2.compose(se2.dead_reckoned(np.zeros(3), chain.motion)[chain.key], chain.since)
+    wheels = se2.dead_reckoned(np.zeros(3), inputs.increments.mean)
+    told, found = se2.between(wheels[at[:-1]], wheels[at[1:]]), se2.between(path[at[:-1]], path[at[1:]])
+    error = se2.pose_error(found, told)
     # the increments' covariances, added in the world's axes: a heading error between them is small beside FAR
-    world = covariances_in_world(wheels[:-1, 2], inputs.increments.covariance[1:])
+    world = se2.covariances_in_world(wheels[:-1, 2], inputs.increments.covariance[1:])
     gathered = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(world, axis=0)])
     variance = np.einsum("kii->ki", gathered[at[1:]] - gathered[at[:-1]])
     position = np.hypot(error[:, 0], error[:, 1])

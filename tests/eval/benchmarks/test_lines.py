@@ -8,24 +8,15 @@ import pytest
 from association.expectation import gate_threshold
 from data.se2 import pose_error
 from eval.benchmark import main
-from eval.benchmarks.speed import (
-    GATE,
-    Timed,
-    hard_frame,
-    localization_log,
-    median_seconds,
-    numpy_localizer,
-    table,
-    write,
-)
+from eval.benchmarks import speed
 from eval.replay.run import step_by_step
 from tests.builders.tables import rows
 from tests.research.growth import GROWTH, PER_METRE, growth_figure, line_world, lines, slope, text
 
 
 def test_the_hard_frame_is_as_ambiguous_as_asked():
-    e = hard_frame(20, 1000, 10)
-    compatible = e.individual_distances() < gate_threshold(GATE)
+    e = speed.hard_frame(20, 1000, 10)
+    compatible = e.individual_distances() < gate_threshold(speed.GATE)
     assert compatible.shape == (20, 1000)
     assert (compatible.sum(axis=1) >= 2).sum() == 10
     joint = e.joint(np.arange(1000))
@@ -50,10 +41,10 @@ def test_a_median_is_taken_after_a_warm_up_and_a_table_has_rates_where_there_is_
     clock = iter([0.0, 5.0, 10.0, 11.0, 20.0, 23.0])
     monkeypatch.setattr("eval.benchmarks.speed.time.perf_counter", lambda: next(clock))
     calls = []
-    assert median_seconds(lambda: calls.append(1), 3) == 3.0
+    assert speed.median_seconds(lambda: calls.append(1), 3) == 3.0
     assert len(calls) == 4
-    rated = Timed("a", 0.5, 1000, "frames", "1", "< 1 s")
-    lines = table([rated, Timed("b", math.nan, 10, "frames"), Timed("c", 0.0, 10, "frames")])
+    rated = speed.Timed("a", 0.5, 1000, "frames", "1", "< 1 s")
+    lines = speed.table([rated, speed.Timed("b", math.nan, 10, "frames"), speed.Timed("c", 0.0, 10, "frames")])
     head, first, second, third = lines.split("\n")
     assert head.split() == ["median", "s", "per", "second", "ratio", "goal"]
     assert first.split() == ["a", "0.50000", "2,000", "frames", "1", "<", "1", "s"]
@@ -70,7 +61,7 @@ def test_growth_is_measured_drawn_and_written_with_the_machine(tmp_path, monkeyp
     (ax,) = growth_figure(found).axes
     assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
     assert ax.lines[0].get_xdata().tolist() == [1, 4, 16, 64]
-    write({"twins": found}, tmp_path / "g.csv")
+    speed.write({"twins": found}, tmp_path / "g.csv")
     made = rows(tmp_path / "g.csv")
     assert [(r["table"], r["what"], r["units"]) for r in made] == [("twins", "a", str(n)) for n in (1, 4, 16, 64)]
     assert all("cores" in r["machine"] and r["numpy"] == np.__version__ for r in made)
@@ -78,7 +69,9 @@ def test_growth_is_measured_drawn_and_written_with_the_machine(tmp_path, monkeyp
 
 def test_only_the_tables_asked_for_are_made(monkeypatch, capsys, refused):
     for name in ("localization", "association"):
-        monkeypatch.setattr(f"eval.benchmarks.speed.{name}_lines", lambda quick, name=name: [Timed(name, 1.0, 1, "s")])
+        monkeypatch.setattr(
+            f"eval.benchmarks.speed.{name}_lines", lambda quick, name=name: [speed.Timed(name, 1.0, 1, "s")]
+        )
     assert main(["--only", "association,localization", "--quick"]) == 0
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [
         "median", "association", "median", "localization",
@@ -88,9 +81,9 @@ def test_only_the_tables_asked_for_are_made(monkeypatch, capsys, refused):
 
 
 def test_the_plain_numpy_loop_is_the_same_filter():
-    inputs = localization_log(60)
+    inputs = speed.localization_log(60)
     ours = step_by_step("ekf", inputs, "localization").online.pose
-    np.testing.assert_allclose(pose_error(numpy_localizer(inputs), ours), 0.0, atol=1e-9)
+    np.testing.assert_allclose(pose_error(speed.numpy_localizer(inputs), ours), 0.0, atol=1e-9)
 
 
 def test_the_exponent_of_growth_is_that_of_a_power_law():

@@ -17,18 +17,6 @@ from data.pose_measurements import Fixes, FixKind, FixSource
 from data.result import Failure
 from data.worlds.registry import named_log
 from eval.plan import calibrate
-from eval.plan.calibrate import (
-    check_calibrated,
-    every,
-    hypotheses,
-    named,
-    names_of,
-    plainly,
-    settle,
-    turned,
-    wanders,
-    with_systematic,
-)
 from eval.plan.experiment import Experiment, Unfinished, Work
 from eval.plan.flags.options import options_of
 from eval.referee.attribution import NOISE, Finding
@@ -47,7 +35,7 @@ def settled(monkeypatch, asked, names=()):
     monkeypatch.setattr(calibrate, "plainly", lambda log, task, association, setup: names)
     options = options_of({"calibrate": asked, "jobs": 1})
     e = Experiment(LOG, "slam", (Work("known", ("ekf",)),), options.setup)
-    (found,) = settle([e], options.execution, Unfinished(1))
+    (found,) = calibrate.settle([e], options.execution, Unfinished(1))
     return found, found.log.origins.get("systematic_errors")
 
 
@@ -76,9 +64,9 @@ def test_a_laser_log_has_nothing_to_be_calibrated_by():
         recorded=replace(LOG.recorded, scans=scans, observations=Observations(*(a[:0] for a in (o.frame, o.z, o.R)))),
     )
     with pytest.raises(UsageError, match="is a laser log"):
-        check_calibrated(scanned, ("auto",), ())
-    check_calibrated(scanned, (), ())
-    check_calibrated(LOG, ("auto",), ())
+        calibrate.check_calibrated(scanned, ("auto",), ())
+    calibrate.check_calibrated(scanned, (), ())
+    calibrate.check_calibrated(LOG, ("auto",), ())
 
 
 @pytest.mark.parametrize(("fixed", "asked", "said"), [
@@ -97,9 +85,9 @@ def test_fixes_tell_the_errors_of_the_odometry_and_nothing_tells_none(monkeypatc
     asked = options_of({"calibrate": asked}).setup.calibrate
     if said:
         with pytest.raises(UsageError, match=said):
-            check_calibrated(bare, asked, ())
+            calibrate.check_calibrated(bare, asked, ())
     else:
-        check_calibrated(bare, asked, ())
+        calibrate.check_calibrated(bare, asked, ())
         assert set(e.log.recorded.systematic.names) <= {"scale", "curvature", "left", "right", "drift"}
 
 
@@ -133,19 +121,19 @@ def inputs():
     (("z2_range", "odometry_theta_time", "z1_speed"), ()),
 ])  # fmt: skip
 def test_findings_stand_for_errors_in_their_order(inputs, names, expected):
-    assert named(found(*names), wandering=False, inputs=inputs) == expected
+    assert calibrate.named(found(*names), wandering=False, inputs=inputs) == expected
 
 
 def test_what_cannot_be_told_apart_or_has_another_sensor_is_named_by_what_it_is(inputs):
     points = named_log("arena:0:frames=20+sensor=relative_point").inputs()
-    assert named(found("z2_range"), wandering=False, inputs=points) == ("bearing",)
-    assert named(found("z2_constant"), wandering=False, inputs=points) == ()
+    assert calibrate.named(found("z2_range"), wandering=False, inputs=points) == ("bearing",)
+    assert calibrate.named(found("z2_constant"), wandering=False, inputs=points) == ()
     like = found("odometry_theta_time", other=("z1_speed", "odometry_theta_curvature", "odometry_x_scale"))
-    assert named(like, wandering=False, inputs=inputs) == ("curvature",)
+    assert calibrate.named(like, wandering=False, inputs=inputs) == ("curvature",)
     slam = inputs.without_map()
-    assert named(found("z1_range"), wandering=True, inputs=slam) == ("scale", "drift")
-    assert "range" in every(inputs)
-    assert "range" not in every(slam)
+    assert calibrate.named(found("z1_range"), wandering=True, inputs=slam) == ("scale", "drift")
+    assert "range" in calibrate.every(inputs)
+    assert "range" not in calibrate.every(slam)
 
 
 def test_a_unit_of_an_error_adds_to_the_odometry_what_a_world_with_that_error_reports():
@@ -157,7 +145,9 @@ def test_a_unit_of_an_error_adds_to_the_odometry_what_a_world_with_that_error_re
     for m in motion[1:]:
         c, s = np.cos(path[-1][2]), np.sin(path[-1][2])
         path.append(path[-1] + np.array([c * m[0] - s * m[1], s * m[0] + c * m[1], m[2]]))
-    columns = {e.name: e.motion for e in hypotheses(plain.inputs(), np.array(path), used_by(run, plain.inputs()))}
+    columns = {
+        e.name: e.motion for e in calibrate.hypotheses(plain.inputs(), np.array(path), used_by(run, plain.inputs()))
+    }
     for name, error in (("x_scale", "scale"), ("theta_curvature", "curvature"), ("theta_left", "left")):
         there = named_log(f"arena:3:frames=60+{error}={small}").inputs().increments.mean
         np.testing.assert_allclose(columns[f"odometry_{name}"], (there - motion) / small, atol=2e-5)
@@ -169,7 +159,7 @@ def test_a_unit_of_an_error_adds_to_the_odometry_what_a_world_with_that_error_re
     pytest.param(":bearing_error=0.05", ("bearing",), marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_a_log_names_its_errors_without_any_twin(keys, expected):
-    assert plainly(named_log(f"arena:1{keys}"), "localization", "known", Setup()) == expected
+    assert calibrate.plainly(named_log(f"arena:1{keys}"), "localization", "known", Setup()) == expected
 
 
 def test_what_one_log_in_twenty_shows_by_chance_is_not_named(monkeypatch):
@@ -177,31 +167,31 @@ def test_what_one_log_in_twenty_shows_by_chance_is_not_named(monkeypatch):
     names = []
     for share in (0.05, 0.01):
         monkeypatch.setattr("eval.plan.calibrate.WRONGLY", share)
-        names.append(plainly(log, "localization", "known", Setup()))
+        names.append(calibrate.plainly(log, "localization", "known", Setup()))
     assert names == [("left", "right"), ()]
 
 
 def test_without_a_smoother_or_motion_nothing_is_named(inputs):
     log = named_log("arena:0:frames=20")
     (run,) = compare(log.inputs(labels=True), "localization", ("dead-reckoning",))
-    assert names_of(log.inputs(), replace(run, failure=Failure("diverged", 3, stopped("no")))) == ()
-    assert not wanders(inputs, named_log("arena:0:frames=20").truth.pose)
+    assert calibrate.names_of(log.inputs(), replace(run, failure=Failure("diverged", 3, stopped("no")))) == ()
+    assert not calibrate.wanders(inputs, named_log("arena:0:frames=20").truth.pose)
 
 
 def test_nothing_is_asked_of_turns_that_are_noise():
     park, arena = (named_log(name).inputs() for name in ("park:0:frames=1000", "arena:0"))
-    assert [turned(park, n) for n in ("left", "right", "scale")] == [True, False, True]
-    assert turned(arena, "left")
-    assert turned(arena, "right")
-    assert "right" not in every(park)
-    assert "right" not in plainly(named_log("park:0:frames=400+left=-0.2"), "localization", "known", Setup())
+    assert [calibrate.turned(park, n) for n in ("left", "right", "scale")] == [True, False, True]
+    assert calibrate.turned(arena, "left")
+    assert calibrate.turned(arena, "right")
+    assert "right" not in calibrate.every(park)
+    assert "right" not in calibrate.plainly(named_log("park:0:frames=400+left=-0.2"), "localization", "known", Setup())
 
 
 @pytest.mark.parametrize("seed", [0, slow(1), slow(2)])
 def test_a_curvature_wanders_that_comes_and_goes_and_none_that_stays(seed):
     def says(keys):
         log = named_log(f"park:{seed}:frames=1500{keys}")
-        return wanders(log.inputs(), log.truth.pose)
+        return calibrate.wanders(log.inputs(), log.truth.pose)
 
     assert says("+drift=0.004")
     assert not says("+curvature=0.01+scale=0.05")
@@ -212,7 +202,7 @@ def test_a_curvature_wanders_that_comes_and_goes_and_none_that_stays(seed):
 def smoothed(request):
     """A log whose wheels err, and batch's plain run and the one that estimates the errors, each with its log."""
     log = named_log("arena:0:scale=-0.1+curvature=0.05+frames=250")
-    aware = with_systematic(log, systematic(("scale", "curvature")))
+    aware = calibrate.with_systematic(log, systematic(("scale", "curvature")))
     return [(each, _batch(each, request.param)) for each in (log, aware)]
 
 

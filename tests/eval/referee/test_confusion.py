@@ -9,20 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data.inputs import LandmarkMap
+from eval.referee import result_files
 from eval.referee.confusion import OUTCOMES, confuse, ground_truth, majority_agreement, share_within
 from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, Metric, heads, is_share, metric
-from eval.referee.result_files import (
-    DECISION_COUNTS,
-    METRICS,
-    OF_LOGS,
-    OF_RUNS,
-    TOP,
-    Column,
-    File,
-    count,
-    measured,
-    text,
-)
 from eval.referee.score import COUNTED
 
 NEW, DISCARD = -1, -2
@@ -101,7 +90,7 @@ EVERY = (*OF_ESTIMATES, *OF_DECISIONS)
 
 
 def test_the_columns_of_the_files_are_the_contracts():
-    assert METRICS.names == (
+    assert result_files.METRICS.names == (
         "log", "task", "estimator", "association", "phase", "status", "frames", "observations", "accepted", "rejected",
         "landmarks", "rmse_position_m", "rmse_heading_deg", "max_position_m", "rmse_aligned_m", "rmse_landmark_m",
         "rms_from_batch_m", "nees_pose", "nees_position", "nees_heading", "nis", "nis_lower", "nis_upper",
@@ -112,13 +101,13 @@ def test_the_columns_of_the_files_are_the_contracts():
         "last_step_sigma", "rpe_frame_m", "rpe_frame_deg", "rpe_1m_m", "rpe_1m_deg", "rpe_10m_m", "rpe_10m_deg",
         "matched", "unmatched",
     )  # fmt: skip
-    assert DECISION_COUNTS.names == (
+    assert result_files.DECISION_COUNTS.names == (
         "log", "task", "estimator", "association", "phase", "tp", "tn", "fp", "fn", "precision", "recall", "wrong",
         "spurious", "duplicate", "missed", "deferred", "share_within", "within_m",
         "majority_agreement",
     )  # fmt: skip
-    assert list(DECISION_COUNTS.names[5:-3]) == COUNTED
-    assert DECISION_COUNTS.names[5:9] == OUTCOMES
+    assert list(result_files.DECISION_COUNTS.names[5:-3]) == COUNTED
+    assert result_files.DECISION_COUNTS.names[5:9] == OUTCOMES
 
 
 def test_metrics_are_listed_once_with_their_units_and_directions():
@@ -144,15 +133,23 @@ def test_only_shares_are_shown_in_percent_and_a_column_that_is_no_metric_is_none
     assert [is_share(c) for c in ("precision", "recall", "tp", "nees_pose", "log", "")] == [True, True, *[False] * 4]
 
 
-FILE = File("runs/small.csv", "small", (text("who", "name"), count("n", "how many"), Column("x", "where", "m")))
+FILE = result_files.File(
+    "runs/small.csv",
+    "small",
+    (result_files.text("who", "name"), result_files.count("n", "how many"), result_files.Column("x", "where", "m")),
+)
 
 
 def test_every_column_is_described():
     with pytest.raises(ValueError, match="column 'n'"):
-        count("n", " ")
-    assert all(c.about for f in (*TOP, *OF_RUNS, *OF_LOGS) for c in f.columns)
-    assert measured(Metric("rpe_m", "RPE over 1 m", "m")) == Column("rpe_m", "RPE over 1 m", "m")
-    assert measured(Metric("n", "things", form="d", about="how many")) == count("n", "how many")
+        result_files.count("n", " ")
+    assert all(c.about for f in (*result_files.TOP, *result_files.OF_RUNS, *result_files.OF_LOGS) for c in f.columns)
+    assert result_files.measured(Metric("rpe_m", "RPE over 1 m", "m")) == result_files.Column(
+        "rpe_m", "RPE over 1 m", "m"
+    )
+    assert result_files.measured(Metric("n", "things", form="d", about="how many")) == result_files.count(
+        "n", "how many"
+    )
 
 
 @pytest.mark.parametrize("columns", [["who", "n", "x", "more"], ["who", "n"], ["n", "who", "x"]])

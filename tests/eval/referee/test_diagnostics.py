@@ -18,17 +18,7 @@ from data.result import Failure, Innovations, Run
 from data.words import sentence
 from data.worlds.arena import Arena, simulate
 from eval.figures.map import map_figure
-from eval.referee.diagnostics import (
-    ambiguity_of,
-    crowded,
-    differing,
-    disputed,
-    naming,
-    notices,
-    notices_table,
-    origin,
-    two_minima,
-)
+from eval.referee import diagnostics
 from eval.referee.lost import unused
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
@@ -41,7 +31,7 @@ LOG = circle_log()
 
 
 def found(run):
-    return notices([Trial(LOG, "slam", (run,))])
+    return diagnostics.notices([Trial(LOG, "slam", (run,))])
 
 
 def test_runs_that_stopped_are_implausible_or_lost_say_why():
@@ -62,13 +52,13 @@ def test_runs_that_stopped_are_implausible_or_lost_say_why():
 
 
 def test_the_table_has_values_as_json_and_the_sentence():
-    (row,) = notices_table(
+    (row,) = diagnostics.notices_table(
         [notice(Code.MATCHED, poses=7, matched=7, between=1, error=np.nan).about(log="home")]
     ).to_dict("records")
     assert json.loads(row["values"]) == {"between": 1, "error": None, "matched": 7, "poses": 7}
     assert (row["code"], row["severity"], row["log"]) == ("matched", "info", "home")
     assert row["text"].startswith("7 of 7 poses matched with the truth")
-    assert notices_table([]).columns[0] == "code"
+    assert diagnostics.notices_table([]).columns[0] == "code"
 
 
 @pytest.mark.parametrize("frame", [2, 3])
@@ -81,14 +71,14 @@ def test_of_an_implausible_run_the_pairing_that_fits_worst_is_named(frame):
         innovations=Innovations(nis, dof, np.full(FRAMES, np.nan), white),
         implausible=Failure("implausible", frame, stopped("why")),
     )
-    said = origin(run, Trial(LOG, "slam", (run,)))
+    said = diagnostics.origin(run, Trial(LOG, "slam", (run,)))
     assert (said.frame, said.named["observation"], said.named["began"]) == (frame, 0, False)
     # the map of the run is off by 0.1 m in x and y
     assert frame > 2 or (said.named["landmark"], said.named["off"]) == (0, pytest.approx(0.1414, abs=1e-3))
     assert sentence(said).startswith(f"in frame {frame} observation 0 fits worst: it was paired with landmark")
-    assert origin(replace(run, implausible=None), Trial(LOG, "slam", (run,))) is None
+    assert diagnostics.origin(replace(run, implausible=None), Trial(LOG, "slam", (run,))) is None
     nothing = replace(run, implausible=Failure("implausible", 9, stopped("why")))
-    assert origin(nothing, Trial(LOG, "slam", (nothing,))) is None
+    assert diagnostics.origin(nothing, Trial(LOG, "slam", (nothing,))) is None
 
 
 def ended(estimator, cost, error=0.0, dof=100):
@@ -97,7 +87,7 @@ def ended(estimator, cost, error=0.0, dof=100):
 
 
 def test_both_costs_the_better_one_and_the_distance_are_reported():
-    found = two_minima(ended("batch", 1627.79, 0.64), ended("isam2", 1627.34))
+    found = diagnostics.two_minima(ended("batch", 1627.79, 0.64), ended("isam2", 1627.34))
     assert found.named == {
         "better": "isam2",
         "worse": "batch",
@@ -111,16 +101,16 @@ def test_both_costs_the_better_one_and_the_distance_are_reported():
 
 @pytest.mark.parametrize(("apart", "told"), [(0.0, False), (0.0105, False), (0.0125, True), (-0.0125, True)])
 def test_a_difference_of_converged_optimizers_is_one_minimum(apart, told):
-    assert (two_minima(ended("batch", 1000.0), ended("isam2", 1000.0 + apart)) is not None) == told
+    assert (diagnostics.two_minima(ended("batch", 1000.0), ended("isam2", 1000.0 + apart)) is not None) == told
 
 
 def test_other_decisions_are_another_problem_and_failures_solve_none():
     batch, other = ended("batch", 100.0), ended("isam2", 90.0)
-    assert two_minima(batch, other)
-    assert not two_minima(batch, replace(other, final_decisions=np.array([-1, 0, 0, -2])))
-    assert not two_minima(batch, replace(other, total_nis=(90.0, 98)))
-    assert not two_minima(batch, replace(other, total_nis=None))
-    assert not two_minima(batch, replace(other, failure=Failure("diverged", 0, stopped(""))))
+    assert diagnostics.two_minima(batch, other)
+    assert not diagnostics.two_minima(batch, replace(other, final_decisions=np.array([-1, 0, 0, -2])))
+    assert not diagnostics.two_minima(batch, replace(other, total_nis=(90.0, 98)))
+    assert not diagnostics.two_minima(batch, replace(other, total_nis=None))
+    assert not diagnostics.two_minima(batch, replace(other, failure=Failure("diverged", 0, stopped(""))))
 
 
 RUN = {"log": "circle", "task": "slam", "estimator": "ekf", "association": "known", "phase": "online"}
@@ -130,7 +120,7 @@ def said(fp, agree, plain=0.1, by_majority=0.1):
     metrics = RUN | {"rmse_landmark_m": plain, "rmse_landmark_majority_m": by_majority}
     decided = RUN | {"tp": 1000 - fp, "fp": fp, "majority_agreement": agree}
     scores = SimpleNamespace(metrics=pd.DataFrame([metrics]), association=pd.DataFrame([decided]))
-    return naming(run_with_error(np.zeros(3)), scores, "circle")
+    return diagnostics.naming(run_with_error(np.zeros(3)), scores, "circle")
 
 
 def test_both_shares_and_both_landmark_errors_are_reported_where_they_differ():
@@ -150,15 +140,15 @@ PAIRED = RNG.integers(0, 20, 1000)
 
 
 def test_numbers_of_landmarks_do_not_matter_pairings_do():
-    assert differing(PAIRED, RNG.permutation(20)[PAIRED]) == 0.0
+    assert diagnostics.differing(PAIRED, RNG.permutation(20)[PAIRED]) == 0.0
     other = PAIRED.copy()
     other[:100] = (other[:100] + 1) % 20
-    assert differing(PAIRED, other) == pytest.approx(0.1)
-    assert differing(PAIRED, PAIRED // 2) == pytest.approx(0.5, abs=0.05), "each is two in the other run"
-    assert differing(PAIRED, PAIRED // 2) == differing(PAIRED // 2, PAIRED)
+    assert diagnostics.differing(PAIRED, other) == pytest.approx(0.1)
+    assert diagnostics.differing(PAIRED, PAIRED // 2) == pytest.approx(0.5, abs=0.05), "each is two in the other run"
+    assert diagnostics.differing(PAIRED, PAIRED // 2) == diagnostics.differing(PAIRED // 2, PAIRED)
     fewer = np.where(RNG.random(1000) < 0.5, -1, PAIRED)
-    assert differing(PAIRED, fewer) == 0.0
-    assert differing(PAIRED, np.full(1000, -1)) == 0.0
+    assert diagnostics.differing(PAIRED, fewer) == 0.0
+    assert diagnostics.differing(PAIRED, np.full(1000, -1)) == 0.0
 
 
 def made(association: str, paired: np.ndarray, estimator: str = "ekf") -> Run:
@@ -170,12 +160,12 @@ def test_a_pair_of_methods_is_told_once_and_labels_are_no_method():
     other = np.where(np.arange(1000) < 50, (PAIRED + 1) % 20, PAIRED)
     runs = [made(m, p, e) for e in ("ekf", "isam2") for m, p in (("known", other), ("jcbb", PAIRED), ("nn", other))]
     trial = Trial(circle_log(), "slam", tuple(runs))
-    (found,) = disputed(trial, NOT_SCORED)
+    (found,) = diagnostics.disputed(trial, NOT_SCORED)
     assert (found.code, found.estimator, found.named["methods"]) == (Code.DISPUTED, "ekf", ("jcbb", "nn"))
     assert found.named["share"] == pytest.approx(0.05)
     assert sentence(found).startswith("jcbb and nn pair 5.00 % of the observations with other landmarks")
     alike = [made("known", other), made("jcbb", PAIRED), made("nn", PAIRED)]
-    assert disputed(Trial(circle_log(), "slam", tuple(alike)), NOT_SCORED) == []
+    assert diagnostics.disputed(Trial(circle_log(), "slam", tuple(alike)), NOT_SCORED) == []
 
 
 def test_with_truth_the_one_with_more_wrong_pairings_is_named():
@@ -183,7 +173,7 @@ def test_with_truth_the_one_with_more_wrong_pairings_is_named():
     log = circle_log()
     row = {"log": log.name, "task": "slam", "estimator": "ekf", "phase": runs[0].phases[-1]}
     table = DataFrame([row | {"association": "jcbb", "fp": 3}, row | {"association": "nn", "fp": 53}])
-    (found,) = disputed(Trial(log, "slam", tuple(runs)), replace(NOT_SCORED, association=table))
+    (found,) = diagnostics.disputed(Trial(log, "slam", tuple(runs)), replace(NOT_SCORED, association=table))
     assert found.named["fp"] == (3.0, 53.0)
     assert sentence(found).endswith("By the truth nn has more wrong pairings, 53 against 3")
     assert of_runs([found]) == [f"ekf: {sentence(found)}."]
@@ -212,7 +202,7 @@ def lost() -> Log:
 def test_a_map_with_several_landmarks_for_one_cone_is_asked_about():
     inputs = overconfident(arena().recorded)
     run = compare(inputs, "slam", ("ekf",), "jcbb")[0]
-    question = crowded(run, inputs)
+    question = diagnostics.crowded(run, inputs)
     cones = len(np.unique(arena().truth.landmark_of))
     assert len(run.map) > 2 * cones
     assert question.code is Code.LANDMARKS
@@ -230,7 +220,7 @@ def test_a_run_that_used_nothing_says_so_in_the_headline():
     assert all(
         unused(run).named == {"used": 0, "readings": seen, "task": "localization", "moves": True} for run in runs[1:]
     )
-    found = [n for n in together(notices([trial])) if n.severity is Severity.WARNING]
+    found = [n for n in together(diagnostics.notices([trial])) if n.severity is Severity.WARNING]
     assert [(n.code, n.estimator) for n in found if n.task] == [(Code.UNUSED, "ekf, batch")]
     assert Code.PRIOR in [n.code for n in found]
     (section,) = warnings_section(found)
@@ -251,7 +241,7 @@ def legend(fig):
 
 
 def test_ambiguous_landmarks_are_reported_written_and_marked(trial, tmp_path):
-    found = ambiguity_of(trial.runs[0], PEOPLE.recorded)
+    found = diagnostics.ambiguity_of(trial.runs[0], PEOPLE.recorded)
     assert (found.code, found.named) == (Code.AMBIGUOUS, {"ambiguous": 2, "landmarks": 109})
     assert "ambiguous landmarks" in legend(map_figure(PEOPLE, trial.runs))
     write_run(tmp_path, trial, trial.runs[0])

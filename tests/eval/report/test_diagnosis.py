@@ -24,19 +24,7 @@ from eval.referee.residuals import Used
 from eval.referee.score import Trial
 from eval.referee.truth_free import Statistic
 from eval.replay.run import compare
-from eval.report.diagnosis import (
-    MOST,
-    best,
-    determined,
-    errors_table,
-    estimated,
-    facts_of,
-    first_page_words,
-    first_words,
-    statistic_words,
-    trust_frame,
-    trust_section,
-)
+from eval.report import diagnosis
 from eval.report.page.blocks import Folded, Table
 from eval.report.sources import main_sources, source_lines
 from eval.report.words import distance, plus_minus, say
@@ -99,13 +87,13 @@ def test_a_length_below_a_centimetre_is_said_in_millimetres(value, text):
 def test_only_what_was_measured_is_a_fact_filters_first():
     apart = {"theirs": 1.0, "isam2": 2.0, "ekf-iterated": 3.0, "ekf": 4.0, "batch": math.nan}
     trust = replace(said(), real=replace(said().real, apart=apart))
-    found = facts_of(trust, POLAR)["apart"]
+    found = diagnosis.facts_of(trust, POLAR)["apart"]
     assert [(a["estimator"], a["filters"]) for a in found] == [
         ("ekf", True), ("ekf-iterated", True), ("isam2", False), ("theirs", False),
     ]  # fmt: skip
 
     def apart(trust):
-        (a,) = facts_of(trust, POLAR)["apart"]
+        (a,) = diagnosis.facts_of(trust, POLAR)["apart"]
         return a["rms"], a["twins"], a["beside_twins"]
 
     trust = said(twins=3)
@@ -125,7 +113,7 @@ MEDIAN, SHARE = ("ekf", "filter_smoother_median"), ("ekf", "filter_smoother_semi
     ({SHARE: Statistic(math.nan, 1.0)}, (), None),
 ])  # fmt: skip
 def test_of_the_difference_only_what_is_known_is_a_fact(measured, median, semidefinite):
-    (a,) = facts_of(with_measured(said(), measured), POLAR)["apart"]
+    (a,) = diagnosis.facts_of(with_measured(said(), measured), POLAR)["apart"]
     assert (a["median"], a["semidefinite"]) == (median, semidefinite)
 
 
@@ -138,18 +126,22 @@ def test_nees_and_decisions_on_twins_are_means_over_those_that_have_some():
     trust = said(twins=4)
     values = ({key: 2.0, other: math.nan}, {key: 4.0}, {key: math.nan}, {key: 6.0, other: 3.5})
     twins = tuple(replace(t, nees=n) for t, n in zip(trust.twins, values, strict=True))
-    assert facts_of(replace(trust, twins=twins), POLAR)["nees"] == ((*key, 4.0), (*other, 3.5))
-    assert facts_of(said(), POLAR)["nees"] == facts_of(replace(trust, twins=twins[2:3]), POLAR)["nees"] == ()
+    assert diagnosis.facts_of(replace(trust, twins=twins), POLAR)["nees"] == ((*key, 4.0), (*other, 3.5))
+    assert (
+        diagnosis.facts_of(said(), POLAR)["nees"]
+        == diagnosis.facts_of(replace(trust, twins=twins[2:3]), POLAR)["nees"]
+        == ()
+    )
     trust = said(twins=2, association="nn")
     alike, other = (80.0, 10.0, 6.0, 4.0), (60.0, 20.0, 12.0, 8.0)
     counts = ({"ekf": alike, "isam2": alike, "theirs": other, "idle": (0, 0, 0, 0)}, {"ekf": alike, "isam2": alike})
     twins = tuple(replace(t, counts=c) for t, c in zip(trust.twins, counts, strict=True))
-    assert facts_of(replace(trust, twins=twins), POLAR)["deciding"] == (
+    assert diagnosis.facts_of(replace(trust, twins=twins), POLAR)["deciding"] == (
         {"estimators": ("ekf", "isam2"), "wrong": 6.0, "missed": 4.0, "decisions": 100.0, "right": 0.9},
         {"estimators": ("theirs",), "wrong": 12.0, "missed": 8.0, "decisions": 100.0, "right": 0.8},
     )  # fmt: skip
-    assert facts_of(replace(trust, association="known"), POLAR)["deciding"] == ()
-    assert facts_of(said(association="nn"), POLAR)["deciding"] == ()
+    assert diagnosis.facts_of(replace(trust, association="known"), POLAR)["deciding"] == ()
+    assert diagnosis.facts_of(said(association="nn"), POLAR)["deciding"] == ()
 
 
 SIGMA = Finding(NOISE, "sigma", "z2", 0.2, gain=1000.0)
@@ -159,18 +151,18 @@ LINEAR = Finding(ESTIMATOR, "linearization", "ekf", 1.3, 0.02)
 
 
 def text_of(trust, *, terms=POLAR) -> str:
-    return say("diagnosis#paragraphs", trust=facts_of(trust, terms))
+    return say("diagnosis#paragraphs", trust=diagnosis.facts_of(trust, terms))
 
 
 def test_a_violated_assumption_and_a_difference_without_twins_are_told_in_full():
-    text = first_words(blamed(SIGMA, TURN, cause=NOISE, objected=5), terms=POLAR)
+    text = diagnosis.first_words(blamed(SIGMA, TURN, cause=NOISE, objected=5), terms=POLAR)
     assert text == (
         "The violated assumption is **the noise model**: 5 of 9 statistics lie outside the range "
         "of 20 bootstrap replicates (family-wise p 0.048). The filter (ekf) and the smoother are "
         "13.0 m RMS apart (replicates: 0.500 m to 2.40 m). The σ of bearings is "
         "stated 5.0 times too large; odometry turns 5.00 % ± 0.10 % too little."
     )
-    text = first_words(replace(said(), indicated=TURN), terms=POLAR)
+    text = diagnosis.first_words(replace(said(), indicated=TURN), terms=POLAR)
     assert text.startswith("The filter (ekf) and the smoother are 13.0 m RMS apart; their difference d has a median")
     assert "of 30.3 (expected 1.46), and P_f − P_s is positive semidefinite in 9 % of the frames" in text
     assert "indicate most of all: Odometry turns 5.00 % ± 0.10 % too little. Run" in text
@@ -216,21 +208,21 @@ def test_what_to_do_is_nothing_that_runs_already(found, association, step):
 
 
 def test_unexplained_objections_missing_twins_and_failures_are_admitted_without_a_number():
-    assert facts_of(blamed(cause=NOISE, objected=2), POLAR)["judged"]["unexplained"]
+    assert diagnosis.facts_of(blamed(cause=NOISE, objected=2), POLAR)["judged"]["unexplained"]
     assert "No modelled error explains them" in text_of(blamed(cause=NOISE, objected=2))
     none = notice(Code.NO_TWINS, why="no twins of home: it has 3 frames")
     assert text_of(said(notices=[none])).endswith("* No twins of home: it has 3 frames.")
     unknown = {key: m._replace(value=math.nan, se=math.nan) for key, m in said().real.measured.items()}
     trust = said()
     lost = replace(trust, real=replace(trust.real, measured=unknown, apart={"ekf": math.nan}))
-    assert first_words(lost, terms=POLAR) == ""
+    assert diagnosis.first_words(lost, terms=POLAR) == ""
     broken = [replace(f, size=math.nan, error=math.nan) for f in (TURN, SIGMA, TAILS, LINEAR)]
     for t in (
         lost,
         replace(lost, twins=(lost.real,) * 20, blame=replace(blamed(*broken, cause=NOISE).blame, p=math.nan)),
         replace(blamed(TURN, cause=NOISE, objected=2), twins=(lost.real,) * 20),
     ):
-        for text in (first_words(t, terms=POLAR), text_of(t, terms=POINTS)):
+        for text in (diagnosis.first_words(t, terms=POLAR), text_of(t, terms=POINTS)):
             assert not re.search(r"\b([Nn]an|NaN|inf|None(?! of))\b", text)
             assert "* \n" not in text
 
@@ -327,8 +319,8 @@ TRIAL = Trial(LOG, "slam", (FILTER, smoother()))
 
 
 def test_what_is_objected_to_stands_first_with_what_twins_show_if_there_are_any():
-    frame = trust_frame(blamed(TURN, cause=NOISE, objected=2), terms=POLAR)
-    assert len(frame) <= MOST
+    frame = diagnosis.trust_frame(blamed(TURN, cause=NOISE, objected=2), terms=POLAR)
+    assert len(frame) <= diagnosis.MOST
     assert set(frame["statistic"][:2]) == {"NIS per degree of freedom", "median of dᵀ(P_f − P_s)⁻¹d"}
     first = frame[frame["statistic"].str.startswith("median")].iloc[0]
     assert (first["value"], first["expected"]) == ("30.3", "1.46")
@@ -336,25 +328,25 @@ def test_what_is_objected_to_stands_first_with_what_twins_show_if_there_are_any(
     assert first["twins' median"] == "30.4"
     assert first["twins, 5 to 95 %"] == "30.3 to 30.5"
     assert first["family-wise p"] == "0.048"
-    frame = trust_frame(said(), terms=POLAR)
+    frame = diagnosis.trust_frame(said(), terms=POLAR)
     assert list(frame.columns) == ["estimator", "statistic", "value", "expected"]
     turn = frame[frame["statistic"] == "a wrong scale of the odometry's turns [%]"].iloc[0]
     assert turn["value"] == "−5.00 ± 0.10"
     assert not frame["statistic"].str.contains("ranges \\[%\\]").any()
     for _, name in MEASURED:
         for terms in (POLAR, Terms(polar=False)):
-            text, factor = statistic_words(name, terms)
+            text, factor = diagnosis.statistic_words(name, terms)
             assert "_s" not in text.replace("P_s", "")
             assert factor > 0.0
-    assert statistic_words("own_smoother_rms_x", POLAR)[0] == "RMS of d in x [σ], own final path"
-    assert statistic_words("residual_odometry_theta_lag1", POLAR)[0] == (
+    assert diagnosis.statistic_words("own_smoother_rms_x", POLAR)[0] == "RMS of d in x [σ], own final path"
+    assert diagnosis.statistic_words("residual_odometry_theta_lag1", POLAR)[0] == (
         "residual of the odometry's heading, correlation at lag 1"
     )
 
 
 def test_a_section_has_words_and_table(tmp_path):
     trust = blamed(TURN, cause=NOISE, objected=2)
-    (section,) = trust_section(tmp_path, Output(), TRIAL, [trust])
+    (section,) = diagnosis.trust_section(tmp_path, Output(), TRIAL, [trust])
     words, table, more = section.blocks
     assert section.heading == "Diagnosis without ground truth: home, slam"
     assert words.startswith("**Cause: the noise model.**")
@@ -366,9 +358,9 @@ def test_a_section_has_words_and_table(tmp_path):
 
 def test_a_log_with_truth_is_told_on_the_first_page_only_what_twins_say():
     measured = replace(TRIAL, log=circle_log(name="home"))
-    assert first_page_words(measured, [said()]) == ""
-    assert "found nothing**: none of 9" in first_page_words(measured, [blamed()])
-    assert "`--twins`" in first_page_words(TRIAL, [said()])
+    assert diagnosis.first_page_words(measured, [said()]) == ""
+    assert "found nothing**: none of 9" in diagnosis.first_page_words(measured, [blamed()])
+    assert "`--twins`" in diagnosis.first_page_words(TRIAL, [said()])
 
 
 @pytest.mark.parametrize(("name", "words", "factor"), [
@@ -382,7 +374,7 @@ def test_a_log_with_truth_is_told_on_the_first_page_only_what_twins_say():
     ("slope_pose:mocap/latency", "pose fixes of mocap with wrong time stamps [s]", 1.0),
 ])  # fmt: skip
 def test_every_statistic_of_a_source_has_words_and_a_unit(name, words, factor):
-    text, of = statistic_words(name, POLAR)
+    text, of = diagnosis.statistic_words(name, POLAR)
     assert words in text
     assert of == pytest.approx(factor)
 
@@ -440,7 +432,7 @@ def calibrated_trial():
 
 
 def test_the_table_shows_prior_estimates_truth_and_what_the_log_cannot_tell(calibrated_trial):
-    table = errors_table(ERRORS, calibrated_trial.runs, calibrated_trial.log.truth)
+    table = diagnosis.errors_table(ERRORS, calibrated_trial.runs, calibrated_trial.log.truth)
     assert table.to_dict("list") == {
         "error": ["scale", "curvature"],
         "unit": ["", "rad/m"],
@@ -453,11 +445,11 @@ def test_the_table_shows_prior_estimates_truth_and_what_the_log_cannot_tell(cali
 
 
 def test_batch_has_the_last_word_and_an_error_is_told_if_a_tenth_of_its_sigma_is_gone(calibrated_trial):
-    assert best(calibrated_trial.runs) is calibrated_trial.runs[1].errors_final
-    assert best(calibrated_trial.runs[:1]) is calibrated_trial.runs[0].errors_online
-    assert best([replace(calibrated_trial.runs[0], errors_online=None)]) is None
+    assert diagnosis.best(calibrated_trial.runs) is calibrated_trial.runs[1].errors_final
+    assert diagnosis.best(calibrated_trial.runs[:1]) is calibrated_trial.runs[0].errors_online
+    assert diagnosis.best([replace(calibrated_trial.runs[0], errors_online=None)]) is None
     sigma = np.tile([0.091, 0.044], (5, 1))
-    assert determined(ERRORS, Systematics(ERRORS.names, 0.0 * sigma, sigma)) == (False, True)
+    assert diagnosis.determined(ERRORS, Systematics(ERRORS.names, 0.0 * sigma, sigma)) == (False, True)
 
 
 @pytest.mark.parametrize(
@@ -469,7 +461,7 @@ def test_estimates_have_the_decimals_of_their_sigma(value, sigma, text):
 
 
 def test_facts_say_who_named_these_errors_or_that_no_run_ended(calibrated_trial):
-    facts = estimated(calibrated_trial, calibrated_trial.runs)
+    facts = diagnosis.estimated(calibrated_trial, calibrated_trial.runs)
     assert [facts[of] for of in ("names", "why", "judged", "untold")] == [
         ERRORS.names,
         "inferred",
@@ -479,7 +471,7 @@ def test_facts_say_who_named_these_errors_or_that_no_run_ended(calibrated_trial)
     assert say("systematic", **facts).startswith(
         "* Estimated by filter and smoother jointly with the poses: `scale`, `curvature`. A score test"
     )
-    facts = estimated(calibrated_trial, [])
+    facts = diagnosis.estimated(calibrated_trial, [])
     assert (facts["judged"], facts["untold"]) == (False, ())
     assert "No run reached its end" in say("systematic", **facts)
 

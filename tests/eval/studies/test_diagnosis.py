@@ -8,17 +8,7 @@ import pytest
 
 from data.truth import Truth
 from data.worlds.registry import named_log
-from eval.referee.attribution import (
-    ASSOCIATIONS,
-    ESTIMATOR,
-    NOISE,
-    NOTHING,
-    UNTELLABLE,
-    Finding,
-    decision_errors,
-    estimator_errors,
-    innovation_errors,
-)
+from eval.referee import attribution
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 from eval.studies.diagnosis import SHARES, _head_first, judged, settled
@@ -32,18 +22,20 @@ def around(mean, spread=0.1, n=40):
 
 
 def test_an_estimator_is_off_if_its_nees_on_twins_is_surely_outside_the_band():
-    (found,) = estimator_errors({("ekf", "online"): around(6.0), ("batch", "final"): around(3.0)})
-    assert (found.cause, found.kind, found.name) == (ESTIMATOR, "linearization", "ekf")
+    (found,) = attribution.estimator_errors({("ekf", "online"): around(6.0), ("batch", "final"): around(3.0)})
+    assert (found.cause, found.kind, found.name) == (attribution.ESTIMATOR, "linearization", "ekf")
     assert found.size == pytest.approx(2.0)
-    assert not estimator_errors({("ekf", "online"): around(3.5)})  # surely off, and not by enough to speak of
-    assert not estimator_errors({("ekf", "online"): around(6.0, spread=30.0)})  # off by chance
+    assert not attribution.estimator_errors(
+        {("ekf", "online"): around(3.5)}
+    )  # surely off, and not by enough to speak of
+    assert not attribution.estimator_errors({("ekf", "online"): around(6.0, spread=30.0)})  # off by chance
 
 
 def test_an_estimator_is_off_if_its_innovations_on_twins_are_larger_than_it_claims():
-    (found,) = innovation_errors({"ekf": around(1.1), "isam2": around(1.02)})
-    assert (found.cause, found.kind, found.name) == (ESTIMATOR, "innovations", "ekf")
+    (found,) = attribution.innovation_errors({"ekf": around(1.1), "isam2": around(1.02)})
+    assert (found.cause, found.kind, found.name) == (attribution.ESTIMATOR, "innovations", "ekf")
     assert found.size == pytest.approx(1.1)
-    assert [f.name for f in innovation_errors({"ekf": around(0.9)})] == ["ekf"]
+    assert [f.name for f in attribution.innovation_errors({"ekf": around(0.9)})] == ["ekf"]
 
 
 @pytest.fixture(scope="module")
@@ -68,16 +60,16 @@ def test_wrong_labels_bend_the_map_and_still_nothing_else_is_found(arena):
     bent = with_wrong_labels(log, 0.05, 3653403231)
     wrong = int(np.sum(bent.label != log.truth.landmark_of))
     found = blame(bent, twins)
-    assert found.cause == ASSOCIATIONS
+    assert found.cause == attribution.ASSOCIATIONS
     (pairings,) = found.findings
     assert pairings.kind == "pairings"
     assert wrong - 3 <= pairings.size <= wrong
 
 
 def test_a_way_of_deciding_that_pairs_wrongly_on_twins_is_to_blame():
-    assert decision_errors({"ekf": [(98, 2, 0, 0), (95, 2, 1, 2)]}) == []
-    (found,) = decision_errors({"ekf": [(90, 5, 4, 1), (92, 6, 2, 0)], "isam2": [(99, 1, 0, 0)]})
-    assert (found.cause, found.kind, found.name) == (ASSOCIATIONS, "decisions", "ekf")
+    assert attribution.decision_errors({"ekf": [(98, 2, 0, 0), (95, 2, 1, 2)]}) == []
+    (found,) = attribution.decision_errors({"ekf": [(90, 5, 4, 1), (92, 6, 2, 0)], "isam2": [(99, 1, 0, 0)]})
+    assert (found.cause, found.kind, found.name) == (attribution.ASSOCIATIONS, "decisions", "ekf")
     assert found.size == 0.03
 
 
@@ -101,13 +93,15 @@ def test_decisions_count_of_each_twin_in_which_an_estimator_got_to_the_end(arena
         return {"ekf": wrong, "batch": right} if i % 2 else {"ekf": wrong, "batch": right, "isam2": isam2}
 
     found = partial(deciding, *arena, "jcbb", smoothed(arena[0], "jcbb"))
-    assert found(counts) == [(ASSOCIATIONS, "ekf", 0.1), (ASSOCIATIONS, "isam2", 0.05)]
+    assert found(counts) == [(attribution.ASSOCIATIONS, "ekf", 0.1), (attribution.ASSOCIATIONS, "isam2", 0.05)]
     assert found(lambda i: {"ekf": right} if i else {"ekf": wrong}) == []
     assert found(lambda _: {}) == []
 
 
 @pytest.mark.parametrize(
-    ("key", "cause"), [(None, NOTHING), (("ekf", "nis"), ESTIMATOR), (("batch", "nis"), NOISE)], ids=str
+    ("key", "cause"),
+    [(None, attribution.NOTHING), (("ekf", "nis"), attribution.ESTIMATOR), (("batch", "nis"), attribution.NOISE)],
+    ids=str,
 )
 def test_one_statistic_that_no_twin_reaches_is_objected_to(arena, key, cause):
     """A twin among twins is as usual, and with one number a hundred times too large it is the first of 20."""
@@ -123,7 +117,7 @@ def test_one_statistic_that_no_twin_reaches_is_objected_to(arena, key, cause):
     assert found.p == pytest.approx(0.05) if key else found.p > 0.05
 
 
-@pytest.mark.parametrize(("factor", "cause"), [(1.0, NOTHING), (100.0, ASSOCIATIONS)])
+@pytest.mark.parametrize(("factor", "cause"), [(1.0, attribution.NOTHING), (100.0, attribution.ASSOCIATIONS)])
 def test_wrong_decisions_on_twins_are_a_cause_only_where_the_log_differs_from_its_twins(arena, factor, cause):
     log, twins = arena
     nis = "ekf", "nis"
@@ -147,12 +141,12 @@ def test_no_cause_is_named_where_the_smoother_is_lost_on_most_twins(arena):
     m = twins[0].measured["ekf", "nis"]
     real = replace(twins[0], measured={**twins[0].measured, ("ekf", "nis"): m._replace(value=100.0 * m.value)})
     lost = [replace(s, nees={("batch", "final"): 392.0 if i % 3 else 3.0}) for i, s in enumerate(twins)]
-    assert judged(log, "slam", "known", real, lost, smoothed(log, "known")).blame.cause == UNTELLABLE
+    assert judged(log, "slam", "known", real, lost, smoothed(log, "known")).blame.cause == attribution.UNTELLABLE
 
 
 def test_an_estimator_is_judged_in_each_of_its_phases():
     nees = {("isam2", "online"): [4.4, 4.6, 4.5, 4.5], ("isam2", "final"): [3.0, 3.1, 2.9, 3.0]}
-    (found,) = estimator_errors(nees)
+    (found,) = attribution.estimator_errors(nees)
     assert found.size == pytest.approx(1.5)
 
 
@@ -185,8 +179,8 @@ def test_a_plain_run_names_what_comes_first_with_replicates(arena):
 
 def test_a_systematic_error_is_named_before_a_larger_noise_and_not_before_one_that_dwarfs_it():
     bias, sigma = (
-        Finding(NOISE, "systematic", "z2_constant", 1.0, gain=30.0),
-        Finding(NOISE, "sigma", "z", 2.0, gain=200.0),
+        attribution.Finding(attribution.NOISE, "systematic", "z2_constant", 1.0, gain=30.0),
+        attribution.Finding(attribution.NOISE, "sigma", "z", 2.0, gain=200.0),
     )
     assert _head_first([sigma, bias], None) == [bias, sigma]
     small = replace(bias, gain=19.0)
@@ -209,7 +203,7 @@ def test_a_sigma_that_few_observations_show_is_named_with_and_without_replicates
     source = source_of(log, smoother, ("ekf",), Setup())
     real, twins = sample_of(log, "localization", "known", runs, smoother), [one_twin(source, i) for i in range(19)]
     found = judged(log, "localization", "known", real, twins, smoother)
-    assert found.blame.cause == NOISE
+    assert found.blame.cause == attribution.NOISE
     for f in (*found.blame.findings, found.indicated):
         assert f.said == "sigma odometry_theta"
         assert abs(f.size - 0.2) < 3.0 * f.error

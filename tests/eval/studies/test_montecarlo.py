@@ -9,16 +9,7 @@ from scipy import stats
 from ekf.localizer import EkfLocalizer
 from eval.replay.run import compare
 from eval.report.terminal import declared_lines, study_lines
-from eval.studies.montecarlo import (
-    QUANTITIES,
-    Sample,
-    consistency_table,
-    failed_declarations,
-    judge,
-    one_run,
-    sample,
-    study_of,
-)
+from eval.studies import montecarlo
 from eval.studies.scenario import load_scenario
 from graph.incremental import Isam2Smoother
 from graph.optimum import NotConvergedError
@@ -36,11 +27,11 @@ def made_study(draw, runs=60, key=KEY, failed=0):
     results = []
     for k in range(runs):
         if k < failed:
-            results.append({key: Sample(failure="frame 3: lost")})
+            results.append({key: montecarlo.Sample(failure="frame 3: lost")})
         else:
-            means = {q: draw((k + 0.5) / runs, len(c)) for q, c in QUANTITIES.items()}
-            results.append({key: Sample(means, nees_pose=np.ones(4))})
-    return study_of(ARENA, range(runs), results)
+            means = {q: draw((k + 0.5) / runs, len(c)) for q, c in montecarlo.QUANTITIES.items()}
+            results.append({key: montecarlo.Sample(means, nees_pose=np.ones(4))})
+    return montecarlo.study_of(ARENA, range(runs), results)
 
 
 def honest(quantile, dof):
@@ -62,34 +53,34 @@ SLAM = ("slam", "ekf", "known", "online")
     (boastful, {"runs": 49}, "not enough runs", 0),
 ])  # fmt: skip
 def test_a_declared_estimator_that_is_not_consistent_over_enough_runs_fails_the_command(draw, given, word, failed):
-    judged = judge(made_study(draw, **given))
-    assert {j.quantity: j.verdict.word for j in judged} == dict.fromkeys(QUANTITIES, word)
-    assert len(failed_declarations(judged)) == failed
+    judged = montecarlo.judge(made_study(draw, **given))
+    assert {j.quantity: j.verdict.word for j in judged} == dict.fromkeys(montecarlo.QUANTITIES, word)
+    assert len(montecarlo.failed_declarations(judged)) == failed
 
 
 def test_the_terminal_counts_verdicts_as_the_report_does():
     """Seen: "every estimator that is declared consistent passed" beside a report in which 1 of 3 was."""
-    assert declared_lines(judge(made_study(honest)))[0].startswith(
+    assert declared_lines(montecarlo.judge(made_study(honest)))[0].startswith(
         "3 of 3 declared verdicts are consistent, each at 95 %"
     )
 
     def a_little_boastful(quantile, dof):
         return honest(quantile, dof) * (1.07 if dof > 1 else 1.0)
 
-    judged = judge(made_study(a_little_boastful))
-    assert failed_declarations(judged) == []
+    judged = montecarlo.judge(made_study(a_little_boastful))
+    assert montecarlo.failed_declarations(judged) == []
     agreed = sum(j.verdict.word == "consistent" for j in judged)
     assert 0 < agreed < 3
     assert declared_lines(judged)[0].startswith(f"{agreed} of 3 declared verdicts are consistent, each at 95 %")
-    assert declared_lines(judge(made_study(honest, runs=10))) == []
+    assert declared_lines(montecarlo.judge(made_study(honest, runs=10))) == []
 
 
 def test_diverged_runs_are_counted_not_averaged_and_fail_what_is_declared():
     study = made_study(honest, failed=2)
-    judged = judge(study)
+    judged = montecarlo.judge(study)
     assert all(j.diverged == 2 and j.verdict.runs == 58 for j in judged)
-    assert len(failed_declarations(judged)) == 3
-    table = consistency_table(judged)
+    assert len(montecarlo.failed_declarations(judged)) == 3
+    table = montecarlo.consistency_table(judged)
     assert table["diverged"].tolist() == [2, 2, 2]
     assert len(study.good(KEY)) == 58
     assert study.failures() == [(KEY, 0, "frame 3: lost", False), (KEY, 1, "frame 3: lost", False)]
@@ -97,8 +88,8 @@ def test_diverged_runs_are_counted_not_averaged_and_fail_what_is_declared():
 
 def test_on_the_terminal_implausible_runs_of_an_estimator_share_a_line():
     failed = (("frame 3: lost", False), ("frame 7: NIS", True), ("frame 8: x", True))
-    runs = [{KEY: Sample(failure=why, implausible=doubtful)} for why, doubtful in failed]
-    assert study_lines(study_of(only("ekf"), (0, 1, 2), runs)) == [
+    runs = [{KEY: montecarlo.Sample(failure=why, implausible=doubtful)} for why, doubtful in failed]
+    assert study_lines(montecarlo.study_of(only("ekf"), (0, 1, 2), runs)) == [
         "arena, localization: ekf (known) diverged with seed 0, frame 3: lost",
         "arena, localization: ekf (known) is implausible in 2 of 3 runs; with seed 1, frame 7: NIS",
     ]
@@ -108,11 +99,11 @@ def test_on_the_terminal_implausible_runs_of_an_estimator_share_a_line():
 def test_all_declared_estimators_are_consistent_over_100_arenas():
     seeds = range(100)
     scenario = only("ekf", "isam2", "batch")
-    study = study_of(scenario, seeds, [one_run(scenario, s) for s in seeds])
-    judged = judge(study)
-    assert failed_declarations(judged) == []
+    study = montecarlo.study_of(scenario, seeds, [montecarlo.one_run(scenario, s) for s in seeds])
+    judged = montecarlo.judge(study)
+    assert montecarlo.failed_declarations(judged) == []
     for j in judged:
-        if j.quantity in QUANTITIES:
+        if j.quantity in montecarlo.QUANTITIES:
             assert j.verdict.word == "consistent", j
 
 
@@ -120,7 +111,10 @@ def erring(name, runs, estimator="ekf"):
     plain, calibrated = (
         replace(part.only((estimator,)), task=("localization",)) for part in load_scenario(name).parts()
     )
-    return [study_of(s, range(runs), [one_run(s, k) for k in range(runs)]) for s in (plain, calibrated)]
+    return [
+        montecarlo.study_of(s, range(runs), [montecarlo.one_run(s, k) for k in range(runs)])
+        for s in (plain, calibrated)
+    ]
 
 
 def test_wheels_that_err_spoil_a_plain_filter_and_not_one_that_knows_that_they_may():
@@ -131,7 +125,7 @@ def test_wheels_that_err_spoil_a_plain_filter_and_not_one_that_knows_that_they_m
     inside = [s.ends["error_scale"] < 9.0 for s in calibrated.samples[KEY]]
     assert all(inside)
     assert not any(name.startswith("error_") for s in plain.samples[KEY] for name in s.ends)
-    names = [j.quantity for j in judge(calibrated) if j.quantity.startswith("covers_")]
+    names = [j.quantity for j in montecarlo.judge(calibrated) if j.quantity.startswith("covers_")]
     assert names == [f"covers_{n}" for n in ("scale", "curvature", "left", "right", "drift")]
 
 
@@ -139,7 +133,7 @@ def test_an_errors_square_is_in_units_of_its_own_variance_against_the_truth_at_t
     (_, calibrated), name = load_scenario("erring-corridor").parts(), "curvature"
     log = calibrated.simulate(3)
     (run,) = compare(log.inputs(labels=True), "localization", ("ekf",))
-    found = sample(run, "online", log, calibrated)
+    found = montecarlo.sample(run, "online", log, calibrated)
     i = run.errors_online.names.index(name)
     off = (run.errors_online.mean[-1, i] - 0.05) / run.errors_online.sigma[-1, i]
     assert found.ends[f"error_{name}"] == pytest.approx(off**2)
@@ -152,9 +146,9 @@ def test_an_errors_square_is_in_units_of_its_own_variance_against_the_truth_at_t
 )
 def test_who_knows_that_its_odometry_may_err_is_consistent_and_who_does_not_is_rejected(name, estimator):
     plain, calibrated = erring(name, 50, estimator)
-    assert next(j.verdict for j in judge(plain) if j.quantity == "pose").word == "overconfident"
-    judged = judge(calibrated)
-    assert failed_declarations(judged) == []
+    assert next(j.verdict for j in montecarlo.judge(plain) if j.quantity == "pose").word == "overconfident"
+    judged = montecarlo.judge(calibrated)
+    assert montecarlo.failed_declarations(judged) == []
     parameters = [j for j in judged if j.quantity.startswith("covers_")]
     covered = {j.quantity.removeprefix("covers_"): j.verdict.p_value for j in parameters}
     # of a filter errors of turns act on the turn as stated, and share its noise (docs/results.md)
@@ -179,8 +173,8 @@ def study_with(monkeypatch, owner, place, fault):
         with monkeypatch.context() as patch:
             if seed == BAD:
                 patch.setattr(owner, place, raising)
-            results.append(one_run(SMALL.only(OURS), seed))
-    return study_of(SMALL.only(OURS), SEEDS, results)
+            results.append(montecarlo.one_run(SMALL.only(OURS), seed))
+    return montecarlo.study_of(SMALL.only(OURS), SEEDS, results)
 
 
 @pytest.mark.parametrize("place", ["__init__", "expect", "finish", *map(slow, ["predict", "update", "estimate"])])
@@ -193,7 +187,7 @@ def test_isam2_fails_in_one_run(place, fault, monkeypatch):
     assert {(lost.key[1], lost.key[3], lost.seed) for lost in study.failures()} == {
         ("isam2", phase, BAD) for phase in ("online", "final")
     }
-    table = consistency_table(judge(study)).set_index(["estimator", "phase", "quantity"])
+    table = montecarlo.consistency_table(montecarlo.judge(study)).set_index(["estimator", "phase", "quantity"])
     assert table.loc[("isam2", "final", "pose"), ["runs", "diverged"]].tolist() == [2, 1]
     assert table.loc[("batch", "final", "pose"), ["runs", "diverged"]].tolist() == [3, 0]  # over the filter's decisions
     assert np.isfinite(table.loc[("batch", "final", "pose"), "mean"])
@@ -210,7 +204,7 @@ def test_the_filter_fails_in_one_run(place, monkeypatch):
 
 def test_a_smoother_that_failed_at_its_end_leaves_its_path_to_batch(monkeypatch):
     """Its decisions and online estimates are complete, so batch needs no other front end."""
-    whole = one_run(SMALL.only(OURS), BAD)
+    whole = montecarlo.one_run(SMALL.only(OURS), BAD)
     study = study_with(monkeypatch, Isam2Smoother, "finish", NotConvergedError("injected"))
     key = ("localization", "batch", "jcbb", "final")
     assert study.samples[key][SEEDS.index(BAD)].means["pose"] == pytest.approx(whole[key].means["pose"], rel=1e-9)

@@ -8,22 +8,7 @@ import pytest
 from data.inputs import Increments
 from data.motion.velocity import VelocityModel, VelocityNoise
 from data.worlds.arena import simulate
-from eval.tuning import (
-    AT_BOUND,
-    FITTED,
-    GROUPS,
-    HELD,
-    Model,
-    Odometry,
-    Parameter,
-    apply,
-    fit,
-    make_model,
-    pairings,
-    score,
-    starting_point,
-    vector,
-)
+from eval import tuning
 from tests.eval.tuning.stated import SMALL, by_name, changed
 from tests.quick import slow
 
@@ -35,8 +20,8 @@ def fitted(log, groups=NOISE, slam=False):
     inputs = log.inputs(labels=True)
     if slam:
         inputs = inputs.without_map()
-    model, decisions = make_model(inputs, None, groups), pairings(inputs)
-    return model, decisions, fit(model, decisions)
+    model, decisions = tuning.make_model(inputs, None, groups), tuning.pairings(inputs)
+    return model, decisions, tuning.fit(model, decisions)
 
 
 @pytest.mark.parametrize(("seed", "wrong", "slam"), [
@@ -52,8 +37,8 @@ def test_sigmas_stated_wrong_by_a_factor_of_two_are_recovered_within_three_stand
     assert error["sigma_range"] < 0.05
     assert error["sigma_bearing"] < 0.05
     assert error["motion_along"] < 0.3
-    before = score(model.inputs, decisions)
-    after = score(apply(model, found.theta), decisions)
+    before = tuning.score(model.inputs, decisions)
+    after = tuning.score(tuning.apply(model, found.theta), decisions)
     assert not 0.4 < before.nis < 2.5
     assert after.lower < after.nis < after.upper
     assert after.log_likelihood - before.log_likelihood == pytest.approx(found.gain, abs=1e-6)
@@ -87,9 +72,9 @@ def test_standard_errors_are_as_large_as_the_errors_are():
 
 def test_factors_multiply_standard_deviations_and_biases_are_taken_off():
     inputs = simulate(SMALL, 0).inputs(labels=True)
-    model = make_model(inputs, None, GROUPS)
+    model = tuning.make_model(inputs, None, tuning.GROUPS)
     values = {"sigma_range": 3.0, "bias_bearing": 0.1, "motion_along": 2.0, "motion_heading": 5.0, "range_growth": 0.5}
-    new = apply(model, vector(model, values))
+    new = tuning.apply(model, tuning.vector(model, values))
     o, z = new.observations, inputs.observations.z
     assert o.R[:, 0, 0] == pytest.approx(9.0 * 0.1**2 * z[:, 0])
     assert o.R[:, 1, 1] == pytest.approx(0.02**2)
@@ -106,14 +91,14 @@ def recorded(noise, omega=0.0):
     """A model of a log whose odometry was recorded, at 2 m/s and `omega`, with every group of parameters."""
     inputs = simulate(replace(SMALL, frames=len(STRAIGHT)), 0).inputs(labels=True)
     n = np.ones(len(STRAIGHT))
-    odometry = Odometry(STRAIGHT, 2.0 * n, omega * n, VelocityModel(noise))
-    return make_model(replace(inputs, time=STRAIGHT), odometry, GROUPS)
+    odometry = tuning.Odometry(STRAIGHT, 2.0 * n, omega * n, VelocityModel(noise))
+    return tuning.make_model(replace(inputs, time=STRAIGHT), odometry, tuning.GROUPS)
 
 
 @pytest.mark.parametrize(("v", "omega"), [(1.0, 1.0), (3.0, 1.0), (1.0, 5.0), (0.5, 0.25)])
 def test_factors_on_recorded_odometry_multiply_the_noise_of_velocity_and_of_turn_rate(v, omega):
     model = recorded(VelocityNoise("density", (0.1, 0.02)))
-    new = apply(model, vector(model, {"motion_v": v, "motion_omega": omega}))
+    new = tuning.apply(model, tuning.vector(model, {"motion_v": v, "motion_omega": omega}))
     # in a second: 0.1 m along and 0.02 rad of heading; of what it turns on the way half shows sideways
     assert np.sqrt(new.increments.covariance[1:, 0, 0]) == pytest.approx(0.1 * v)
     assert np.sqrt(new.increments.covariance[1:, 2, 2]) == pytest.approx(0.02 * omega)
@@ -127,11 +112,11 @@ def test_factors_on_alphas_multiply_what_each_of_them_adds():
     motion = [p.name for p in model.parameters if p.name.startswith("motion")]
     assert motion == ["motion_alpha1", "motion_alpha2", "motion_alpha3", "motion_alpha4"]
     values = {"motion_alpha1": 100.0, "motion_alpha2": 100.0, "motion_alpha3": 5.0, "motion_alpha4": 7.0}
-    new = apply(model, vector(model, values)).increments.covariance
+    new = tuning.apply(model, tuning.vector(model, values)).increments.covariance
     assert new[1:, 2, 2] == pytest.approx(5.0 * 0.03 * 4.0 + 7.0 * 0.04 * 0.25)
     model = recorded(VelocityNoise("textbook", (0.0, 0.0), (0.01, 0.02, 0.0, 0.0)), omega=0.5)
-    stated = apply(model, np.zeros(len(model))).increments.covariance
-    new = apply(model, vector(model, {"motion_alpha1": 3.0, "motion_alpha2": 7.0})).increments.covariance
+    stated = tuning.apply(model, np.zeros(len(model))).increments.covariance
+    new = tuning.apply(model, tuning.vector(model, {"motion_alpha1": 3.0, "motion_alpha2": 7.0})).increments.covariance
     assert stated[1:, 0, 0].min() > 0.0
     assert new == pytest.approx(stated * (3.0 * 0.04 + 7.0 * 0.005) / 0.045)
 
@@ -143,22 +128,22 @@ def test_what_a_log_does_not_determine_stays_as_stated():
     log = replace(log, recorded=replace(r, increments=Increments(r.increments.mean, D @ r.increments.covariance @ D)))
     model, _, found = fitted(log, ("motion",))
     status, theta = by_name(model, found.status), by_name(model, found.theta)
-    assert status["motion_heading"] == status["motion_lateral"] == HELD
+    assert status["motion_heading"] == status["motion_lateral"] == tuning.HELD
     assert theta["motion_heading"] == theta["motion_lateral"] == 0.0
-    assert status["motion_along"] in (FITTED, AT_BOUND)
+    assert status["motion_along"] in (tuning.FITTED, tuning.AT_BOUND)
 
 
 def test_what_a_short_log_cannot_tell_goes_back_to_what_it_states():
     _, _, found = fitted(simulate(replace(SMALL, frames=6), 2), ("motion",))
-    assert HELD in found.status
+    assert tuning.HELD in found.status
     for theta, error, word in zip(found.theta, found.error, found.status):
-        assert np.isfinite(error) == (word == FITTED)
-        assert (theta == 0.0) == (word == HELD)
+        assert np.isfinite(error) == (word == tuning.FITTED)
+        assert (theta == 0.0) == (word == tuning.HELD)
 
 
 INPUTS = simulate(SMALL, 0).inputs(labels=True)
-LATE = Parameter("latency", "s", 1.0, 0.2, "")
-MOTION = Parameter("motion_v", "", 7.0, 1.0, "")
+LATE = tuning.Parameter("latency", "s", 1.0, 0.2, "")
+MOTION = tuning.Parameter("motion_v", "", 7.0, 1.0, "")
 
 
 VALLEYS = {-0.9: (4.0, 1.0), -0.5: (2.0, 16.0), 0.1: (1.0, 0.25), 0.6: (3.0, 1.0)}
@@ -171,11 +156,11 @@ def test_a_fit_starts_at_the_deepest_of_several_valleys_over_the_latency_with_th
         height, factor = VALLEYS[at]
         return height + 100.0 * abs(theta[0] - at) + 0.01 * abs(theta[1] - np.log(factor))
 
-    found = starting_point(valleys, Model(INPUTS, None, (LATE, MOTION)))
+    found = tuning.starting_point(valleys, tuning.Model(INPUTS, None, (LATE, MOTION)))
     np.testing.assert_allclose(found, (0.1, np.log(0.25)), atol=1e-9)
 
 
 @pytest.mark.parametrize("end", [-1.0, 1.0])
 def test_a_cost_that_falls_to_a_bound_of_the_latency_starts_there(end):
-    found = starting_point(lambda theta: abs(theta[0] - 2.0 * end), Model(INPUTS, None, (LATE,)))
+    found = tuning.starting_point(lambda theta: abs(theta[0] - 2.0 * end), tuning.Model(INPUTS, None, (LATE,)))
     np.testing.assert_allclose(found, [end])

@@ -18,56 +18,45 @@ from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 from graph.problem import Start
 from tests.graph.driving import TIGHT, both_tasks, drive, for_task, lagged, parted
-from tests.graph.walls.worlds import (
-    R_ROOM,
-    SENSORS,
-    WALLS,
-    differ,
-    drive_in_a_room,
-    every_sensor,
-    exactly,
-    in_order,
-    named_like,
-    sigmas_off,
-    solved,
-    walled,
-)
+from tests.graph.walls import worlds
 from tests.quick import slow
 
 ODOMETRY = Systematic(("scale", "curvature"), np.array([0.05, 0.05]))
 
 
-@pytest.mark.parametrize("name", SENSORS)
+@pytest.mark.parametrize("name", worlds.SENSORS)
 @both_tasks
 def test_the_optimum_and_its_covariance_are_those_of_dense_least_squares(name, task):
-    inputs, result, decisions, (pose, lines, C, cost) = exactly(name, task)
+    inputs, result, decisions, (pose, lines, C, cost) = worlds.exactly(name, task)
     n = len(inputs)
     assert np.abs(se2.pose_error(result.trajectory.pose, pose)).max() < 1e-6
-    assert differ(result.trajectory.covariance, [C[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(n)]) < 1e-4
+    assert (
+        worlds.differ(result.trajectory.covariance, [C[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(n)]) < 1e-4
+    )
     assert result.cost == pytest.approx(cost, abs=1e-6)
     assert result.dof == 2 * len(decisions) - (0 if task == "localization" else 2 * len(lines))
     if task == "slam":
         np.testing.assert_allclose(result.map.xy, lines, atol=1e-6)
         of_walls = [C[k : k + 2, k : k + 2] for k in range(3 * n, len(C), 2)]
-        assert differ(result.map.covariance, of_walls) < 1e-4
+        assert worlds.differ(result.map.covariance, of_walls) < 1e-4
 
 
 def test_a_run_far_from_the_origin_is_the_same_run():
     """Where rho depends on alpha by kilometres: covariances of the same lines about a distant origin."""
-    inputs, truth = walled(SENSORS["centred"])
+    inputs, truth = worlds.walled(worlds.SENSORS["centred"])
     inputs = inputs.without_map()
     away = np.array([3000.0, -2000.0, 0.0])
     moved = replace(inputs, prior=replace(inputs.prior, mean=inputs.prior.mean + away))
-    result, (decisions, created, walls) = solved(inputs, truth)
+    result, (decisions, created, walls) = worlds.solved(inputs, truth)
     normal = np.stack([np.cos(walls[:, 1]), np.sin(walls[:, 1])], 1)
     there = np.column_stack([walls[:, 0] + normal @ away[:2], walls[:, 1]])
     far = smooth(moved, decisions, created, Start(truth + away, there))
     np.testing.assert_allclose(far.trajectory.pose, result.trajectory.pose + away, atol=1e-6)
-    assert differ(far.trajectory.covariance, result.trajectory.covariance) < 1e-6
+    assert worlds.differ(far.trajectory.covariance, result.trajectory.covariance) < 1e-6
     alpha = result.map.xy[:, 1]
     J = np.tile(np.eye(2), (len(walls), 1, 1))
     J[:, 0, 1] = np.cos(alpha) * away[1] - np.sin(alpha) * away[0]
-    assert differ(far.map.covariance, J @ result.map.covariance @ J.transpose(0, 2, 1)) < 1e-6
+    assert worlds.differ(far.map.covariance, J @ result.map.covariance @ J.transpose(0, 2, 1)) < 1e-6
     np.testing.assert_allclose(far.map.xy[:, 0], result.map.xy[:, 0] + np.cos(alpha) * 3000 - np.sin(alpha) * 2000)
 
 
@@ -75,7 +64,7 @@ def test_a_run_far_from_the_origin_is_the_same_run():
     ("localization", None), slow("slam", None), slow("slam", ODOMETRY),
 ])  # fmt: skip
 def test_wrong_readings_are_told_from_right_ones(task, systematic):
-    inputs, truth = walled(SENSORS["off centre"], frames=30, seed=3)
+    inputs, truth = worlds.walled(worlds.SENSORS["off centre"], frames=30, seed=3)
     o, rng = inputs.observations, np.random.default_rng(0)
     bad = np.zeros(len(o.z), np.bool_)
     bad[20::12] = True
@@ -86,11 +75,11 @@ def test_wrong_readings_are_told_from_right_ones(task, systematic):
     clean = for_task(replace(inputs, observations=replace(o, z=z, label=np.where(bad, -1, o.label))), task)
     decisions, created = known_decisions(inputs)
     assert (created[bad] < 0).all()
-    walls = in_order(inputs, created) if task == "slam" else np.empty((0, 2))
+    walls = worlds.in_order(inputs, created) if task == "slam" else np.empty((0, 2))
     result, accepted = gnc(inputs, decisions, created, Start(truth, walls))
     assert not accepted[bad].any()
     assert accepted[~bad].mean() > 0.95
-    without, _ = solved(clean, truth)
+    without, _ = worlds.solved(clean, truth)
     plain = smooth(inputs, decisions, created, Start(truth, walls))
     robust = smooth(inputs, decisions, created, Start(truth, walls), loss="huber")
     assert plain.cost > 10.0 * plain.dof
@@ -101,10 +90,10 @@ def test_wrong_readings_are_told_from_right_ones(task, systematic):
 
 @pytest.mark.parametrize("names", [("range",), ("scale", "bearing")])
 def test_errors_of_the_sensor_are_refused(names):
-    inputs, truth = walled(SENSORS["centred"])
+    inputs, truth = worlds.walled(worlds.SENSORS["centred"])
     systematic = Systematic(names, np.full(len(names), 0.1))
     with pytest.raises(UsageError, match="sensor of points"):
-        solved(replace(inputs, systematic=systematic), truth)
+        worlds.solved(replace(inputs, systematic=systematic), truth)
     with pytest.raises(UsageError, match="sensor of points"):
         Isam2Smoother(inputs.prior, inputs.sensor, systematic=systematic)
     with pytest.raises(UsageError, match="sensor of points"):
@@ -112,12 +101,12 @@ def test_errors_of_the_sensor_are_refused(names):
 
 
 def test_a_reading_without_information_is_refused():
-    inputs, truth = walled(SENSORS["centred"], frames=10)
+    inputs, truth = worlds.walled(worlds.SENSORS["centred"], frames=10)
     R = inputs.observations.R.copy()
     R[3] = [[1e-4, 2e-4], [2e-4, 4e-4]]
     bad = replace(inputs, observations=replace(inputs.observations, R=R))
     with pytest.raises(DataError, match="not positive definite"):
-        solved(bad, truth)
+        worlds.solved(bad, truth)
     decisions, created = known_decisions(bad.without_map())
     with pytest.raises(ValueError, match="points"):
         bare_isam2(inputs.without_map(), decisions, created)
@@ -126,31 +115,31 @@ def test_a_reading_without_information_is_refused():
 INDEPENDENT = np.diag([1e-4, 4e-4])
 
 
-@every_sensor
+@worlds.every_sensor
 @both_tasks
 def test_as_it_comes_it_is_near_the_batch_solution_and_ends_with_it(sensor, task):
-    inputs, truth = walled(sensor)
+    inputs, truth = worlds.walled(sensor)
     inputs = for_task(inputs, task)
-    result, (decisions, *_) = solved(inputs, truth)
+    result, (decisions, *_) = worlds.solved(inputs, truth)
     s, pose, P, _ = drive(inputs, decisions)
     short, recent, _, _ = drive(inputs, decisions, smoother=lagged(inputs, 10.0))
-    assert sigmas_off(pose[-1], result) < 0.2
-    assert sigmas_off(recent[-1], result) < 0.3
-    assert differ(P[-1], result.trajectory.covariance[-1]) < 0.2
+    assert worlds.sigmas_off(pose[-1], result) < 0.2
+    assert worlds.sigmas_off(recent[-1], result) < 0.3
+    assert worlds.differ(P[-1], result.trajectory.covariance[-1]) < 0.2
     end = s.finish()
     assert np.abs(se2.pose_error(end.final.pose, result.trajectory.pose)).max() < 1e-5
-    assert differ(end.final.covariance, result.trajectory.covariance) < 1e-4
+    assert worlds.differ(end.final.covariance, result.trajectory.covariance) < 1e-4
     assert end.total_nis[0] == pytest.approx(result.cost, abs=1e-6)
     assert end.total_nis[1] == result.dof
     if task == "slam":
-        assert differ(named_like(end.map, result.map).covariance, result.map.covariance) < 1e-4
+        assert worlds.differ(worlds.named_like(end.map, result.map).covariance, result.map.covariance) < 1e-4
     # what left the window took its own variables along
     left = len(short._engine.values().keys())
-    assert left <= 12 + (0 if task == "localization" else len(WALLS)) + 12 * len(WALLS)
+    assert left <= 12 + (0 if task == "localization" else len(worlds.WALLS)) + 12 * len(worlds.WALLS)
     assert left < len(s._engine.values().keys()) / 2
 
 
-@pytest.mark.parametrize("R", [R_ROOM, np.diag(np.diag(R_ROOM))], ids=["correlated", "independent"])
+@pytest.mark.parametrize("R", [worlds.R_ROOM, np.diag(np.diag(worlds.R_ROOM))], ids=["correlated", "independent"])
 def test_along_a_corridor_only_odometry_says_where_the_robot_is(R):
     """A factor between the poses of robot and wall claims half the sigma: it takes errors of direction for a place."""
     n, rng = 150, np.random.default_rng(0)
@@ -173,10 +162,10 @@ def test_along_a_corridor_only_odometry_says_where_the_robot_is(R):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SENSORS)
+@pytest.mark.parametrize("name", worlds.SENSORS)
 @both_tasks
 def test_it_expects_what_dense_least_squares_expects(name, task):
-    inputs, _, decisions, (pose, lines, C, _) = exactly(name, task)
+    inputs, _, decisions, (pose, lines, C, _) = worlds.exactly(name, task)
     sensor, last = inputs.sensor, len(inputs) - 1
     s, *_ = drive(inputs, decisions, **TIGHT)
     expected = s.expect(inputs.frame_observations(last))
@@ -197,8 +186,8 @@ def test_it_expects_what_dense_least_squares_expects(name, task):
         of = np.concatenate([of, (3 * last + 3 + 2 * expected.number[:, None] + np.arange(2)).ravel()])
     S = H @ C[np.ix_(of, of)] @ H.T
     every = np.arange(len(seen))
-    assert differ(expected.joint(every), S) < 1e-3
-    assert differ(expected.HPHt, [S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for i in every]) < 1e-3
+    assert worlds.differ(expected.joint(every), S) < 1e-3
+    assert worlds.differ(expected.HPHt, [S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for i in every]) < 1e-3
 
 
 @pytest.mark.slow
@@ -206,7 +195,7 @@ def test_it_expects_what_dense_least_squares_expects(name, task):
 @pytest.mark.parametrize("later", [False, True], ids=["to the first", "to the second"])
 def test_walls_that_are_one_are_joined_whatever_their_names(landmark, later):
     """The robot sees both sides of one of them, so that the second may be named the other way round."""
-    inputs, _ = walled(SENSORS["off centre"], frames=30)
+    inputs, _ = worlds.walled(worlds.SENSORS["off centre"], frames=30)
     inputs = inputs.without_map()
     decisions, created = known_decisions(inputs)
     whole, *_ = drive(inputs, decisions, **TIGHT)
@@ -229,7 +218,7 @@ def test_walls_that_are_one_are_joined_whatever_their_names(landmark, later):
 
 def test_a_new_wall_is_where_the_reading_has_it():
     """Before anything else is known, (rho, alpha) and its covariance are those of the inverse measurement."""
-    sensor = SENSORS["off centre"]
+    sensor = worlds.SENSORS["off centre"]
     prior = Prior(np.array([3.0, -2.0, 2.5]), np.diag([0.02, 0.03, 0.01]))
     for R in (INDEPENDENT, np.array([[1e-4, -1.2e-4], [-1.2e-4, 4e-4]])):
         s = Isam2Smoother(prior, sensor)
@@ -238,14 +227,14 @@ def test_a_new_wall_is_where_the_reading_has_it():
         found, (line, Gx, Gz) = s.landmarks(), sensor.inverse(prior.mean, z)
         np.testing.assert_allclose(found.xy, line, atol=1e-6)
         C = Gx @ prior.covariance @ Gx.transpose(0, 2, 1) + Gz @ R @ Gz.transpose(0, 2, 1)
-        assert differ(found.covariance, C) < 1e-4
+        assert worlds.differ(found.covariance, C) < 1e-4
 
 
 @pytest.mark.slow
 def test_claimed_covariances_are_those_of_the_errors():
     means = {"isam2": [], "batch": [], "fixed lag": []}
     for seed in range(50):
-        inputs, truth = drive_in_a_room(seed)
+        inputs, truth = worlds.drive_in_a_room(seed)
         inputs = inputs.without_map()
         decisions, created = known_decisions(inputs)
         s, pose, P, _ = drive(inputs, decisions)

@@ -10,17 +10,7 @@ from association.expectation import Expectation
 from data.inputs import FrameObservations
 from data.notice import Code, notice
 from data.worlds.arena import Arena, simulate
-from eval.replay.external.adapter import (
-    ForeignError,
-    Method,
-    Samples,
-    expectation_of,
-    load,
-    map_of,
-    pose_of,
-    text_of,
-    updated_of,
-)
+from eval.replay.external import adapter
 from eval.replay.run import compare
 from tests.data.formats.open_log.same_log import assert_same_log
 from tests.eval.replay.external import things
@@ -162,40 +152,44 @@ NEW = DECISIONS == -1
     ("here", "the mean is 'here'; an array"),
 ])  # fmt: skip
 def test_a_pose_that_is_none_is_said(given, words):
-    with pytest.raises(ForeignError, match=words):
-        pose_of("F.estimate", given)
+    with pytest.raises(adapter.ForeignError, match=words):
+        adapter.pose_of("F.estimate", given)
 
 
 def test_a_pose_comes_with_or_without_covariance_and_with_its_heading_wrapped():
-    assert np.isnan(pose_of("", np.zeros(3)).covariance).all()
-    assert np.isnan(pose_of("", (np.zeros(3), None)).covariance).all()
-    assert pose_of("", [1.0, 2.0, 4.0]).mean.tolist() == [1.0, 2.0, pytest.approx(4.0 - 2.0 * np.pi)]
-    assert pose_of("", (np.zeros(3), np.zeros((3, 3)))).covariance.tolist() == np.zeros((3, 3)).tolist()
+    assert np.isnan(adapter.pose_of("", np.zeros(3)).covariance).all()
+    assert np.isnan(adapter.pose_of("", (np.zeros(3), None)).covariance).all()
+    assert adapter.pose_of("", [1.0, 2.0, 4.0]).mean.tolist() == [1.0, 2.0, pytest.approx(4.0 - 2.0 * np.pi)]
+    assert adapter.pose_of("", (np.zeros(3), np.zeros((3, 3)))).covariance.tolist() == np.zeros((3, 3)).tolist()
 
 
 def test_samples_become_the_mean_and_covariance_that_numpy_has_for_them_across_the_seam():
     rng = np.random.default_rng(1)
     poses = rng.normal([1.0, 2.0, np.pi], [0.1, 0.2, 0.3], (500, 3))
     weights = rng.integers(1, 5, 500)
-    found = pose_of("", Samples(np.column_stack([poses[:, :2], (poses[:, 2] + np.pi) % (2 * np.pi) - np.pi]), weights))
+    found = adapter.pose_of(
+        "", adapter.Samples(np.column_stack([poses[:, :2], (poses[:, 2] + np.pi) % (2 * np.pi) - np.pi]), weights)
+    )
     mean = np.average(poses, axis=0, weights=weights)
     np.testing.assert_allclose(found.mean[:2], mean[:2])
     assert abs(abs(found.mean[2]) - np.pi) < 0.05
     expected = np.cov(poses[:, :2].T, aweights=weights)
     np.testing.assert_allclose(found.covariance[:2, :2], expected, rtol=1e-12)
     np.testing.assert_allclose(found.covariance[2, 2], np.cov(poses[:, 2], aweights=weights), rtol=2e-3)
-    with pytest.raises(ForeignError, match="one sample has all the weight"):
-        pose_of("F.estimate", Samples(poses, np.eye(500)[0]))
-    with pytest.raises(ForeignError, match="500 samples need as many weights"):
-        pose_of("F.estimate", Samples(poses, -weights))
+    with pytest.raises(adapter.ForeignError, match="one sample has all the weight"):
+        adapter.pose_of("F.estimate", adapter.Samples(poses, np.eye(500)[0]))
+    with pytest.raises(adapter.ForeignError, match="500 samples need as many weights"):
+        adapter.pose_of("F.estimate", adapter.Samples(poses, -weights))
 
 
 def test_an_update_need_not_say_what_it_did():
-    done = updated_of("", None, DECISIONS, NEW, 7)
+    done = adapter.updated_of("", None, DECISIONS, NEW, 7)
     assert done.used.tolist() == [False, True, False, False]
     assert done.created.tolist() == [7, -1, -1, 8]
     assert np.isnan(done.nis)
-    less = updated_of("", {"nis": 3.0, "used": np.zeros(4, bool), "created": [7, -1, -1, -1]}, DECISIONS, NEW, 7)
+    less = adapter.updated_of(
+        "", {"nis": 3.0, "used": np.zeros(4, bool), "created": [7, -1, -1, -1]}, DECISIONS, NEW, 7
+    )
     assert (less.nis, less.dof, less.created.tolist()) == (3.0, 0, [7, -1, -1, -1])
 
 
@@ -208,8 +202,8 @@ def test_an_update_need_not_say_what_it_did():
     ({"created": [0.5, 1, 1, 1]}, "whole numbers are needed"),
 ])  # fmt: skip
 def test_an_update_that_cannot_be_is_said(given, words):
-    with pytest.raises(ForeignError, match=words):
-        updated_of("F.update", given, DECISIONS, NEW, 7)
+    with pytest.raises(adapter.ForeignError, match=words):
+        adapter.updated_of("F.update", given, DECISIONS, NEW, 7)
 
 
 def problem(**changed):
@@ -224,8 +218,8 @@ def problem(**changed):
     (problem(number=np.array([1, 1, 2])), "a candidate is named twice"),
 ])  # fmt: skip
 def test_an_expectation_that_cannot_be_is_said(given, words):
-    with pytest.raises(ForeignError, match=words):
-        expectation_of("F.expect", given, FrameObservations(np.zeros((2, 2)), np.tile(np.eye(2), (2, 1, 1))))
+    with pytest.raises(adapter.ForeignError, match=words):
+        adapter.expectation_of("F.expect", given, FrameObservations(np.zeros((2, 2)), np.tile(np.eye(2), (2, 1, 1))))
 
 
 @pytest.mark.parametrize(("returned", "words"), [
@@ -239,19 +233,19 @@ def test_decisions_that_cannot_be_are_said(returned, words):
     def deciding(expectation, gate):
         return returned
 
-    with pytest.raises(ForeignError, match=words):
-        Method(load(text_of(deciding, "association")))(problem(), 0.99)
+    with pytest.raises(adapter.ForeignError, match=words):
+        adapter.Method(adapter.load(adapter.text_of(deciding, "association")))(problem(), 0.99)
 
 
 def test_a_map_without_covariance_is_a_map():
-    found = map_of("", (np.array([0, 2]), np.zeros((2, 2)), None))
+    found = adapter.map_of("", (np.array([0, 2]), np.zeros((2, 2)), None))
     assert np.isnan(found.covariance).all()
-    with pytest.raises(ForeignError, match=r"returned a list; .number, xy, covariance. is needed"):
-        map_of("F.landmarks", [1])
+    with pytest.raises(adapter.ForeignError, match=r"returned a list; .number, xy, covariance. is needed"):
+        adapter.map_of("F.landmarks", [1])
 
 
 def test_the_effective_number_of_samples_counts_copies_once():
     poses = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
-    assert Samples(poses[1:]).effective == pytest.approx(3.0)
-    assert Samples(poses).effective == pytest.approx(16.0 / 6.0)
-    assert Samples(poses, np.array([1.0, 0.0, 0.0, 0.0])).effective == pytest.approx(1.0)
+    assert adapter.Samples(poses[1:]).effective == pytest.approx(3.0)
+    assert adapter.Samples(poses).effective == pytest.approx(16.0 / 6.0)
+    assert adapter.Samples(poses, np.array([1.0, 0.0, 0.0, 0.0])).effective == pytest.approx(1.0)

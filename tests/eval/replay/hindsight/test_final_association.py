@@ -20,16 +20,6 @@ from eval.referee.confusion import confuse
 from eval.replay.hindsight import constants, whole_log
 from eval.replay.hindsight.final_association import Reassociation, beginnings, noise_share, reassociate
 from eval.replay.hindsight.opportunities import Detections, evidence
-from eval.replay.hindsight.whole_log import (
-    Smoothed,
-    likelier,
-    log_likelihood,
-    log_odds,
-    observed_again,
-    plain,
-    renumbered,
-    same_landmarks,
-)
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
 from graph.problem import Start
@@ -136,7 +126,7 @@ def decided(number, z, xy, looks=None, motion=0.0, share=1.0):
     ids = np.arange(len(xy))
     found = Reassociation(number, np.zeros(m))
     known = LandmarkMap(ids, np.asarray(xy, float))
-    return Smoothed(
+    return whole_log.Smoothed(
         VIEW,
         np.zeros((m, 3)),
         known,
@@ -162,29 +152,29 @@ def test_the_likelihood_is_that_of_observations_with_the_position_integrated_out
     product = np.prod([multivariate_normal(z, NOISE**2 * np.eye(2)).pdf(at) for z in Z[:3]], axis=0)
     integrated = clutter * product.sum() * 0.01**2
     expected = math.log(integrated) - 3.0 * math.log(clutter) + evidence([Detections(SEEN)])[0]
-    assert log_likelihood(s, 1.0, VIEW) == pytest.approx(expected, abs=1e-3)
+    assert whole_log.log_likelihood(s, 1.0, VIEW) == pytest.approx(expected, abs=1e-3)
 
 
 def test_a_landmark_that_explains_less_than_clutter_does_counts_as_clutter():
     far = decided([0, 0, 0, -1], Z, [[9.0, 0.0]])
-    assert log_likelihood(far, 1.0, VIEW) == 0.0
+    assert whole_log.log_likelihood(far, 1.0, VIEW) == 0.0
     once = decided([0, -1, -1, -1], Z, [Z[0]])
-    assert log_likelihood(once, 1.0, VIEW) == 0.0
+    assert whole_log.log_likelihood(once, 1.0, VIEW) == 0.0
 
 
 def test_odometry_and_missed_detections_speak_against_decisions():
     number, xy = [0, 0, 0, -1], [np.mean(Z[:3], axis=0)]
-    plain_ = log_likelihood(decided(number, Z, xy), 1.0, VIEW)
-    assert log_likelihood(decided(number, Z, xy, motion=8.0), 1.0, VIEW) == pytest.approx(plain_ - 4.0)
+    plain_ = whole_log.log_likelihood(decided(number, Z, xy), 1.0, VIEW)
+    assert whole_log.log_likelihood(decided(number, Z, xy, motion=8.0), 1.0, VIEW) == pytest.approx(plain_ - 4.0)
     missed = {0: b"\3\3" + b"\2\3" * 4}
-    assert log_likelihood(decided(number, Z, xy, looks=missed), 1.0, VIEW) < plain_
+    assert whole_log.log_likelihood(decided(number, Z, xy, looks=missed), 1.0, VIEW) < plain_
 
 
 def test_two_sets_are_compared_under_the_smaller_noise():
     number, xy = [0, 0, 0, -1], [np.mean(Z[:3], axis=0)]
     ours, theirs = decided(number, Z, xy, share=4.0), decided([0, 0, -1, -1], Z, xy, share=1.0)
-    odds = log_likelihood(theirs, 1.0, VIEW) - log_likelihood(ours, 1.0, VIEW)
-    assert likelier(ours, theirs, VIEW) == pytest.approx(odds)
+    odds = whole_log.log_likelihood(theirs, 1.0, VIEW) - whole_log.log_likelihood(ours, 1.0, VIEW)
+    assert whole_log.likelier(ours, theirs, VIEW) == pytest.approx(odds)
     assert odds < 0.0
 
 
@@ -200,27 +190,27 @@ def test_a_landmark_that_would_not_stay_counts_as_clutter():
     looks = {0: b"\3" * 8, 1: b"\2" * 8}
     both = decided(number, z, [[5.0, 0.0], [7.0, 2.0]], looks=looks)
     one = decided([0, -1] * 5, z, [[5.0, 0.0], [7.0, 2.0]], looks=looks)
-    assert log_likelihood(both, 1.0, VIEW) == pytest.approx(log_likelihood(one, 1.0, VIEW))
+    assert whole_log.log_likelihood(both, 1.0, VIEW) == pytest.approx(whole_log.log_likelihood(one, 1.0, VIEW))
 
 
 def test_landmarks_get_the_numbers_of_those_with_most_observations_in_common():
     found = Reassociation(np.array([0, 0, 0, 1, 1, 2, -1]), np.zeros(7))
     held = np.array([7, 7, 4, 7, 4, DISCARD, 4])
-    assert renumbered(found, held).number.tolist() == [7, 7, 7, 4, 4, -1, -1]
-    assert renumbered(found, np.full(7, DISCARD)).number.tolist() == [-1] * 7
+    assert whole_log.renumbered(found, held).number.tolist() == [7, 7, 7, 4, 4, -1, -1]
+    assert whole_log.renumbered(found, np.full(7, DISCARD)).number.tolist() == [-1] * 7
 
 
 def test_what_was_observed_once_is_no_landmark():
-    assert observed_again(np.array([3, 1, 3, -1])).tolist() == [3, DISCARD, 3, DISCARD]
+    assert whole_log.observed_again(np.array([3, 1, 3, -1])).tolist() == [3, DISCARD, 3, DISCARD]
 
 
 def test_plain_decisions_are_those_of_jcbb():
     inputs = named_log("arena:2:frames=60+clutter=0.5").inputs(labels=False).without_map()
     run = step_by_step("ekf", inputs, "slam", "jcbb")
     frames = [inputs.frame(k) for k in range(len(inputs))]
-    found = plain(inputs, Setup(), frames, 1000)
+    found = whole_log.plain(inputs, Setup(), frames, 1000)
     assert found is not None
-    assert plain(inputs, Setup(), frames, int(run.created.max())) is None, "more landmarks than are allowed"
+    assert whole_log.plain(inputs, Setup(), frames, int(run.created.max())) is None, "more landmarks than are allowed"
     assert np.array_equal(found[0], np.where(run.created >= 0, run.created, run.decisions))
     np.testing.assert_allclose(found[1], run.online.pose, atol=1e-9)
 
@@ -232,7 +222,7 @@ def test_where_they_are_likelier_the_decisions_of_jcbb_are_the_final_ones_and_it
     usual = step_by_step("ekf", inputs, "slam", "jcbb-hindsight")
     assert Code.PLAIN_LIKELIER not in [n.code for n in usual.notes]
     monkeypatch.setattr(whole_log, "likelier", lambda *_: 2.0 * constants.PLAIN_ODDS)
-    monkeypatch.setattr(Smoothed, "consistent", False)
+    monkeypatch.setattr(whole_log.Smoothed, "consistent", False)
     run = step_by_step("ekf", inputs, "slam", "jcbb-hindsight")
     (note,) = [n for n in run.notes if n.code is Code.PLAIN_LIKELIER]
     assert note.named == {"odds": 2.0 * constants.PLAIN_ODDS}
@@ -262,7 +252,7 @@ def observed(*frames):
 
 def found(*frames, xy=XY):
     seen, number = observed(*(np.array(f) for f in frames))
-    return same_landmarks(SENSOR, PATH, LandmarkMap(np.arange(3), xy), seen, number)
+    return whole_log.same_landmarks(SENSOR, PATH, LandmarkMap(np.arange(3), xy), seen, number)
 
 
 def test_what_is_observed_as_one_or_the_other_is_one():
@@ -288,5 +278,7 @@ def test_the_odds_are_those_of_frames_at_different_places():
     both = r**2 / (1.0 - (1.0 - r) ** 2)
     one, other = np.array([1, 2, 3, 4]), np.array([4, 5])
     expected = 4 * -math.log(1.0 - both) + math.log(chance / both)
-    assert log_odds(one, other, PATH, 0.5) == pytest.approx(expected)
-    assert log_odds(one, other, np.zeros((6, 3)), 0.5) == pytest.approx(-math.log(1.0 - both) + math.log(chance / both))
+    assert whole_log.log_odds(one, other, PATH, 0.5) == pytest.approx(expected)
+    assert whole_log.log_odds(one, other, np.zeros((6, 3)), 0.5) == pytest.approx(
+        -math.log(1.0 - both) + math.log(chance / both)
+    )

@@ -11,24 +11,14 @@ import scipy.io
 
 from data.errors import DataError, UsageError
 from data.inputs import Prior
-from tests.wings.camera.lab.handmade import (
-    FRAMES,
-    LOGS,
-    Made,
-    all_frames,
-    as_structs,
-    configuration,
-    lab,
-    log_arrays,
-    refuse,
-)
+from tests.wings.camera.lab import handmade
 from wings.camera.lab.folder import is_lab, open_lab, write_lab
 
 
 def test_reference_images_come_as_rgb_in_the_natural_order_of_their_names(tmp_path: Path) -> None:
-    config = configuration()
+    config = handmade.configuration()
     config["landmark"] = {"xpos": np.zeros((11, 4)), "ypos": np.tile([1.0, 0.0, 0.0, 1.0], (11, 1))}
-    folder = lab(tmp_path / "lab", config)
+    folder = handmade.lab(tmp_path / "lab", config)
     for i in range(11):
         blue_green_red = np.full((3, 4, 3), (7, 100, 10 * (i + 1)), np.uint8)
         cv2.imwrite(str(folder / "landmark" / f"landmark{i + 1}.png"), blue_green_red)
@@ -40,19 +30,19 @@ def test_reference_images_come_as_rgb_in_the_natural_order_of_their_names(tmp_pa
 
 
 def test_an_image_that_cannot_be_read_and_a_wrong_number_of_images_are_named(tmp_path: Path) -> None:
-    folder = lab(tmp_path / "lab")
+    folder = handmade.lab(tmp_path / "lab")
     for content in (b"", b"no image at all"):
         (folder / "landmark" / "landmark2.png").write_bytes(content)
-        refuse(folder, "landmark2.png: not an image that can be read")
+        handmade.refuse(folder, "landmark2.png: not an image that can be read")
     (folder / "landmark" / "landmark2.png").unlink()
-    refuse(folder, r"settings.mat: landmark.xpos: 2 rows, but .*landmark holds 1 images \(landmark1.png\)")
+    handmade.refuse(folder, r"settings.mat: landmark.xpos: 2 rows, but .*landmark holds 1 images \(landmark1.png\)")
     (folder / "landmark" / "landmark1.png").unlink()
     (folder / "landmark").rmdir()
-    refuse(folder, r"landmark: missing; a folder with one reference image per picture")
+    handmade.refuse(folder, r"landmark: missing; a folder with one reference image per picture")
 
 
 def test_a_lab_folder_is_known_by_what_it_holds(tmp_path: Path) -> None:
-    folder = lab(tmp_path / "lab")
+    folder = handmade.lab(tmp_path / "lab")
     assert is_lab(folder)
     assert not is_lab(tmp_path / "nowhere")
     assert not is_lab(tmp_path)
@@ -72,9 +62,9 @@ def test_a_folder_with_reference_images_alone_or_a_log_alone_is_one_with_a_fault
     pictures, log, neither = tmp_path / "pictures", tmp_path / "log", tmp_path / "neither"
     (pictures / "landmark").mkdir(parents=True)
     assert is_lab(pictures)
-    refuse(pictures, r"no configuration found \(there: no files\)")
+    handmade.refuse(pictures, r"no configuration found \(there: no files\)")
     log.mkdir()
-    np.savez(log / "seen.npz", **log_arrays())  # type: ignore[arg-type]
+    np.savez(log / "seen.npz", **handmade.log_arrays())  # type: ignore[arg-type]
     assert is_lab(log)
     neither.mkdir()
     (neither / "landmark").write_text("a file of that name is no folder of images")
@@ -85,38 +75,43 @@ def test_a_folder_with_reference_images_alone_or_a_log_alone_is_one_with_a_fault
 def test_missing_and_doubled_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="nowhere: not a folder"):
         open_lab(tmp_path / "nowhere")
-    folder = lab(tmp_path / "lab")
+    folder = handmade.lab(tmp_path / "lab")
     content = (folder / "settings.mat").read_bytes()
     (folder / "again.mat").write_bytes(content)
-    refuse(folder, r"again.mat, settings.mat each hold a configuration; one")
+    handmade.refuse(folder, r"again.mat, settings.mat each hold a configuration; one")
     (folder / "again.mat").unlink()
-    np.savez(folder / "second.npz", **log_arrays())  # type: ignore[arg-type]
-    refuse(folder, r"log.mat:log, second.npz each hold a log; one")
+    np.savez(folder / "second.npz", **handmade.log_arrays())  # type: ignore[arg-type]
+    handmade.refuse(folder, r"log.mat:log, second.npz each hold a log; one")
     (folder / "second.npz").unlink()
     (folder / "log.mat").rename(tmp_path / "log.mat")
-    refuse(folder, r"no log found \(there: settings.mat\); a .mat with the struct array log, or a .npy or .npz")
+    handmade.refuse(
+        folder, r"no log found \(there: settings.mat\); a .mat with the struct array log, or a .npy or .npz"
+    )
     (tmp_path / "log.mat").rename(folder / "log.mat")
     (folder / "settings.mat").unlink()
-    refuse(folder, r"no configuration found \(there: log.mat\); a .mat, .npy or .npz with camera_to_body")
+    handmade.refuse(folder, r"no configuration found \(there: log.mat\); a .mat, .npy or .npz with camera_to_body")
 
 
 def test_two_logs_in_a_file_are_refused(tmp_path: Path) -> None:
-    folder = lab(tmp_path / "lab")
-    scipy.io.savemat(folder / "log.mat", {"log": as_structs(log_arrays()), "log2": as_structs(log_arrays())})
-    refuse(folder, "log.mat:log, log.mat:log2 each hold a log; one per folder is needed")
+    folder = handmade.lab(tmp_path / "lab")
+    scipy.io.savemat(
+        folder / "log.mat",
+        {"log": handmade.as_structs(handmade.log_arrays()), "log2": handmade.as_structs(handmade.log_arrays())},
+    )
+    handmade.refuse(folder, "log.mat:log, log.mat:log2 each hold a log; one per folder is needed")
 
 
 def test_a_file_that_does_not_open_is_named_only_if_one_is_missing(tmp_path: Path) -> None:
-    folder = lab(tmp_path / "lab")
+    folder = handmade.lab(tmp_path / "lab")
     (folder / "extra.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(500))
-    assert len(all_frames(open_lab(folder))) == FRAMES
+    assert len(handmade.all_frames(open_lab(folder))) == handmade.FRAMES
     (folder / "extra.mat").rename(folder / "log.mat")
-    refuse(folder, r"log.mat: (damaged|MATLAB 7.3 .* needs the package h5py)")
+    handmade.refuse(folder, r"log.mat: (damaged|MATLAB 7.3 .* needs the package h5py)")
 
 
-@pytest.mark.parametrize("form", LOGS)
+@pytest.mark.parametrize("form", handmade.LOGS)
 def test_the_digest_depends_on_configuration_log_and_images_alone(tmp_path: Path, form: str) -> None:
-    folder = lab(tmp_path / "lab", form=form)
+    folder = handmade.lab(tmp_path / "lab", form=form)
     digest = open_lab(folder).digest()
     (folder / "other.txt").write_text("beside")
     folder = folder.rename(tmp_path / "moved")
@@ -160,22 +155,22 @@ def test_the_digest_depends_on_configuration_log_and_images_alone(tmp_path: Path
     ("landmark", None, [1, 2, 3], r"landmark: numbers of size 1x3; one struct is needed"),
 ])  # fmt: skip
 def test_faults_of_the_configuration_name_field_value_and_what_would_be_right(tmp_path, part, field, value, said):
-    config: dict[str, Any] = configuration()
+    config: dict[str, Any] = handmade.configuration()
     table, key = (config, part) if field is None else (config[part], field)
     if value is None:
         del table[key]
     else:
         table[key] = value
-    refuse(lab(tmp_path / "lab", config), "settings.mat: .*" + said)
+    handmade.refuse(handmade.lab(tmp_path / "lab", config), "settings.mat: .*" + said)
 
 
 def test_a_matrix_typed_with_four_digits_is_a_rotation(tmp_path: Path) -> None:
-    config = configuration()
+    config = handmade.configuration()
     config["camera_to_body"]["R"] = np.array([[0.2675, -0.9636], [0.9636, 0.2675]])
-    assert open_lab(lab(tmp_path / "lab", config)).setup.rotation == pytest.approx(1.3, abs=1e-4)
+    assert open_lab(handmade.lab(tmp_path / "lab", config)).setup.rotation == pytest.approx(1.3, abs=1e-4)
 
 
-def check_written(folder: Path, made: Made) -> None:
+def check_written(folder: Path, made: handmade.Made) -> None:
     recording = open_lab(folder)
     np.testing.assert_allclose(recording.setup.rotation, made.setup.rotation, rtol=1e-14)
     np.testing.assert_allclose(recording.setup.translation, made.setup.translation, rtol=1e-14)
@@ -193,21 +188,21 @@ def check_written(folder: Path, made: Made) -> None:
 
 @pytest.mark.parametrize("form", ["mat", "npy", "npz"])
 def test_what_is_written_is_read(tmp_path: Path, form: str) -> None:
-    write_lab(tmp_path / "out" / "lab", Made(), form=form)
+    write_lab(tmp_path / "out" / "lab", handmade.Made(), form=form)
     assert sorted(p.name for p in (tmp_path / "out" / "lab").iterdir()) == ["config.mat", "landmark", f"log.{form}"]
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["lab"]
-    check_written(tmp_path / "out" / "lab", Made())
+    check_written(tmp_path / "out" / "lab", handmade.Made())
     (tmp_path / "empty").mkdir()
-    write_lab(tmp_path / "empty", Made(), form=form)
+    write_lab(tmp_path / "empty", handmade.Made(), form=form)
 
 
 def test_what_is_written_is_what_scipy_and_numpy_read_in_the_files_units(tmp_path: Path) -> None:
-    made = Made()
+    made = handmade.Made()
     given = list(made.frames())
     for form in ("mat", "npy", "npz"):
         write_lab(tmp_path / form, made, form=form)
     mat = scipy.io.loadmat(tmp_path / "mat" / "log.mat")["log"]
-    assert mat.shape == (1, FRAMES)
+    assert mat.shape == (1, handmade.FRAMES)
     assert mat.dtype.names == ("timestamp", "commands", "rgb", "xyz")
     npy, npz = np.load(tmp_path / "npy" / "log.npy"), np.load(tmp_path / "npz" / "log.npz")
     for i, frame in enumerate(given):
@@ -238,28 +233,28 @@ def test_writing_refuses_a_folder_in_use_an_unknown_form_and_a_correlated_prior(
     (tmp_path / "used").mkdir()
     (tmp_path / "used" / "thesis.tex").write_text("long work")
     with pytest.raises(DataError, match="used: exists and is not an empty folder; name another one"):
-        write_lab(tmp_path / "used", Made())
+        write_lab(tmp_path / "used", handmade.Made())
     assert (tmp_path / "used" / "thesis.tex").read_text() == "long work"
     with pytest.raises(UsageError, match="'hdf5'; known: mat, npy, npz"):
-        write_lab(tmp_path / "new", Made(), form="hdf5")
+        write_lab(tmp_path / "new", handmade.Made(), form="hdf5")
     correlated = Prior(np.zeros(3), np.eye(3) + 0.1)
     with pytest.raises(DataError, match="prior's covariance is not diagonal"):
-        write_lab(tmp_path / "new", Made(prior=correlated))
+        write_lab(tmp_path / "new", handmade.Made(prior=correlated))
     assert [p.name for p in tmp_path.iterdir()] == ["used"]
 
 
 @pytest.mark.parametrize("form", ["mat", "npy", "npz"])
 def test_a_recording_with_more_or_fewer_frames_than_it_says_leaves_nothing_behind(tmp_path: Path, form: str) -> None:
     with pytest.raises(DataError, match="has 4 frames; the stated 5"):
-        write_lab(tmp_path / "lab", Made(says=5), form=form)
+        write_lab(tmp_path / "lab", handmade.Made(says=5), form=form)
     with pytest.raises(DataError, match=r"frame 3 of the recording: .*; 3 frames of"):
-        write_lab(tmp_path / "lab", Made(says=3), form=form)
+        write_lab(tmp_path / "lab", handmade.Made(says=3), form=form)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_log_beyond_2_gib_is_refused_as_mat_at_the_first_frame(tmp_path: Path) -> None:
-    made = Made(says=900_000)
-    made.frames = lambda: iter([next(iter(Made().frames()))])  # type: ignore[method-assign]
+    made = handmade.Made(says=900_000)
+    made.frames = lambda: iter([next(iter(handmade.Made().frames()))])  # type: ignore[method-assign]
     with pytest.raises(DataError, match=r"log.mat: 2\.\d GiB for 900000 frames; a .mat holds 2 GiB, write npy or npz"):
         write_lab(tmp_path / "lab", made)
     assert not list(tmp_path.iterdir())

@@ -11,46 +11,36 @@ import pytest
 import scipy.io
 
 from tests.builders.processes import python
-from tests.wings.camera.lab.handmade import (
-    FRAMES,
-    LOGS,
-    all_frames,
-    as_dicts,
-    as_structs,
-    configuration,
-    lab,
-    log_arrays,
-    refuse,
-)
+from tests.wings.camera.lab import handmade
 from wings.camera.lab.folder import is_lab, open_lab
 
 
 def read_twice(recording: Any, columns: dict[str, Any]) -> Iterator[list[Any]]:
     """Its frames, read twice, each time with the times, commands and images of `columns`."""
-    assert len(recording) == FRAMES
+    assert len(recording) == handmade.FRAMES
     for _ in range(2):
-        frames = all_frames(recording)
+        frames = handmade.all_frames(recording)
         assert [f.time for f in frames] == columns["timestamp"].tolist()
         np.testing.assert_array_equal([(f.v, f.omega) for f in frames], columns["commands"])
         np.testing.assert_array_equal([f.rgb for f in frames], columns["rgb"])
         yield frames
 
 
-@pytest.mark.parametrize("form", LOGS)
+@pytest.mark.parametrize("form", handmade.LOGS)
 def test_every_form_of_the_log_gives_the_same_frames_as_often_as_asked(tmp_path: Path, form: str) -> None:
-    columns = log_arrays()
-    recording = open_lab(lab(tmp_path / "lab", columns=columns, form=form))
+    columns = handmade.log_arrays()
+    recording = open_lab(handmade.lab(tmp_path / "lab", columns=columns, form=form))
     for frames in read_twice(recording, columns):
         assert all(f.rgb.dtype == np.uint8 and f.rgb.flags.c_contiguous and f.xyz.flags.c_contiguous for f in frames)
 
 
-@pytest.mark.parametrize("form", LOGS)
+@pytest.mark.parametrize("form", handmade.LOGS)
 def test_pixels_of_zeros_nan_or_infinity_have_no_point(tmp_path: Path, form: str) -> None:
-    columns = log_arrays()
+    columns = handmade.log_arrays()
     columns["xyz"][:, 5, 5] = [0.0, 0.0, np.inf]
     columns["xyz"][:, 5, 6] = [np.nan, 5.0, 700.0]
     columns["xyz"][:, 5, 7] = [0.0, 0.0, 700.0]
-    for frame in open_lab(lab(tmp_path / "lab", columns=columns, form=form)).frames():
+    for frame in open_lab(handmade.lab(tmp_path / "lab", columns=columns, form=form)).frames():
         none = np.isnan(frame.xyz)
         assert none[:2, :4].all()
         assert none[5, 5:7].all()
@@ -62,83 +52,85 @@ def test_pixels_of_zeros_nan_or_infinity_have_no_point(tmp_path: Path, form: str
     "write", [lambda a: a.reshape(1, 2), lambda a: a.reshape(2, 1), lambda a: {"v": a[0], "omega": a[1], "more": 1.0}]
 )
 def test_commands_may_be_a_row_a_column_or_a_struct(tmp_path: Path, write: Callable[[np.ndarray], Any]) -> None:
-    columns: dict[str, Any] = log_arrays()
+    columns: dict[str, Any] = handmade.log_arrays()
     plain = columns["commands"]
     columns["commands"] = [write(row) for row in plain]
-    frames = all_frames(open_lab(lab(tmp_path / "lab", columns=columns)))
+    frames = handmade.all_frames(open_lab(handmade.lab(tmp_path / "lab", columns=columns)))
     np.testing.assert_array_equal([(f.v, f.omega) for f in frames], plain)
 
 
 @pytest.mark.parametrize("form", ["log.mat", "log.npy", "log.npz"])
 def test_commands_as_numpy_fields_or_dicts_are_read(tmp_path: Path, form: str) -> None:
-    columns: dict[str, Any] = log_arrays()
+    columns: dict[str, Any] = handmade.log_arrays()
     plain = columns["commands"]
-    columns["commands"] = np.zeros(FRAMES, dtype=[("v", "f8"), ("omega", "f8")])
+    columns["commands"] = np.zeros(handmade.FRAMES, dtype=[("v", "f8"), ("omega", "f8")])
     columns["commands"]["v"], columns["commands"]["omega"] = plain.T
-    frames = all_frames(open_lab(lab(tmp_path / "lab", columns=columns, form=form)))
+    frames = handmade.all_frames(open_lab(handmade.lab(tmp_path / "lab", columns=columns, form=form)))
     np.testing.assert_array_equal([(f.v, f.omega) for f in frames], plain)
 
 
 @pytest.mark.parametrize("white", [1.0, 255.0])
 @pytest.mark.parametrize("form", ["log.mat", "log.npz"])
 def test_colours_may_be_fractions_of_1_or_of_255_as_the_first_frame_that_is_not_black_shows(tmp_path, form, white):
-    columns = log_arrays()
+    columns = handmade.log_arrays()
     columns["rgb"][0] = 0
     expected = columns["rgb"]
     columns["rgb"] = columns["rgb"] * (white / 255.0)
     # later frames may be nearly black: they are not taken for another scale
     expected[3] = columns["rgb"][3] = 0
     expected[3, 0, 0], columns["rgb"][3, 0, 0] = 1, white / 255.0
-    frames = all_frames(open_lab(lab(tmp_path / "lab", columns=columns, form=form)))
+    frames = handmade.all_frames(open_lab(handmade.lab(tmp_path / "lab", columns=columns, form=form)))
     np.testing.assert_array_equal([f.rgb for f in frames], expected)
 
 
 def test_whole_numbers_of_other_types_are_colours_too_and_mm_may_be_whole(tmp_path: Path) -> None:
-    columns = log_arrays()
+    columns = handmade.log_arrays()
     expected = columns["rgb"]
     columns["rgb"] = expected.astype(np.int16)
     columns["xyz"] = np.nan_to_num(columns["xyz"]).astype(np.int16)
-    frames = all_frames(open_lab(lab(tmp_path / "lab", columns=columns)))
+    frames = handmade.all_frames(open_lab(handmade.lab(tmp_path / "lab", columns=columns)))
     np.testing.assert_array_equal([f.rgb for f in frames], expected)
     np.testing.assert_allclose(frames[2].xyz[4, 4], columns["xyz"][2, 4, 4] / 1000.0, rtol=1e-6)
 
 
 def test_configuration_and_log_may_share_a_file_and_the_log_may_have_another_name_and_more_fields(tmp_path):
-    folder = lab(tmp_path / "lab")
-    columns: dict[str, Any] = log_arrays() | {"disparity": np.zeros((FRAMES, 50))}
+    folder = handmade.lab(tmp_path / "lab")
+    columns: dict[str, Any] = handmade.log_arrays() | {"disparity": np.zeros((handmade.FRAMES, 50))}
     (folder / "log.mat").unlink()
     (folder / "settings.mat").unlink()
-    scipy.io.savemat(folder / "All.MAT", configuration() | {"run7": as_structs(columns), "note": "by hand"})
-    frames = all_frames(open_lab(folder))
+    scipy.io.savemat(
+        folder / "All.MAT", handmade.configuration() | {"run7": handmade.as_structs(columns), "note": "by hand"}
+    )
+    frames = handmade.all_frames(open_lab(folder))
     np.testing.assert_array_equal([f.rgb for f in frames], columns["rgb"])
 
 
 @pytest.mark.parametrize("kind", ["dicts", "list", "structs", "npz"])
 def test_objects_are_read_only_when_trusted(tmp_path: Path, kind: str) -> None:
-    columns: dict[str, Any] = log_arrays()
-    folder = lab(tmp_path / "lab", form="")
+    columns: dict[str, Any] = handmade.log_arrays()
+    folder = handmade.lab(tmp_path / "lab", form="")
     if kind == "npz":
-        rgb = np.empty(FRAMES, object)
+        rgb = np.empty(handmade.FRAMES, object)
         rgb[:] = list(columns["rgb"])
         np.savez(folder / "log.npz", **(columns | {"rgb": rgb}))
     else:
         one = np.array(None, object)
-        one[()] = list(as_dicts(columns))
-        log = {"dicts": as_dicts(columns), "list": one, "structs": as_structs(columns)}[kind]
+        one[()] = list(handmade.as_dicts(columns))
+        log = {"dicts": handmade.as_dicts(columns), "list": one, "structs": handmade.as_structs(columns)}[kind]
         np.save(folder / "log.npy", log)
-    refuse(folder, "pickle.*can run code.*--trust-pickle")
-    frames = all_frames(open_lab(folder, trust_pickle=True))
+    handmade.refuse(folder, "pickle.*can run code.*--trust-pickle")
+    frames = handmade.all_frames(open_lab(folder, trust_pickle=True))
     np.testing.assert_array_equal([f.rgb for f in frames], columns["rgb"])
     np.testing.assert_array_equal([(f.v, f.omega) for f in frames], columns["commands"])
 
 
 def test_a_refused_pickle_runs_nothing(tmp_path: Path) -> None:
-    folder = lab(tmp_path / "lab", form="")
+    folder = handmade.lab(tmp_path / "lab", form="")
     array = np.empty(1, object)
     array[0] = _Trap(str(tmp_path / "sprung"))
     np.save(folder / "log.npy", array)
     assert is_lab(folder)
-    refuse(folder, "--trust-pickle")
+    handmade.refuse(folder, "--trust-pickle")
     assert not (tmp_path / "sprung").exists()
 
 
@@ -158,20 +150,20 @@ class _Trap:
     (np.array([], object), "the log has no timestamp"),
 ])  # fmt: skip
 def test_trusted_objects_of_another_shape_are_refused(tmp_path: Path, content: Any, said: str) -> None:
-    folder = lab(tmp_path / "lab", form="")
+    folder = handmade.lab(tmp_path / "lab", form="")
     np.save(folder / "log.npy", content)
-    refuse(folder, said, trust_pickle=True)
+    handmade.refuse(folder, said, trust_pickle=True)
 
 
 def test_a_trusted_frame_without_a_field_or_with_ragged_values_is_named(tmp_path: Path) -> None:
-    folder = lab(tmp_path / "lab", form="")
-    log = as_dicts(log_arrays())
+    folder = handmade.lab(tmp_path / "lab", form="")
+    log = handmade.as_dicts(handmade.log_arrays())
     del log[2]["xyz"]
     np.save(folder / "log.npy", log)
-    refuse(folder, r"\[2\]\['xyz'\]: missing", trust_pickle=True)
+    handmade.refuse(folder, r"\[2\]\['xyz'\]: missing", trust_pickle=True)
     log[1]["rgb"] = [[1, 2], [3]]
     np.save(folder / "log.npy", log)
-    refuse(folder, r"\[1\]\['rgb'\]: .*inhomogeneous", trust_pickle=True)
+    handmade.refuse(folder, r"\[1\]\['rgb'\]: .*inhomogeneous", trust_pickle=True)
 
 
 CLASSES = {"f8": "double", "f4": "single", "u1": "uint8", "i2": "int16"}
@@ -210,20 +202,22 @@ def put_structs(file: Any, name: str, elements: list[dict[str, Any]], shape: tup
         group.create_dataset(field, data=references, dtype=h5py.ref_dtype)
 
 
-def saved(path: Path, columns: dict[str, Any] | None, config: Any = None, shape: tuple[int, int] = (1, FRAMES)) -> None:
+def saved(
+    path: Path, columns: dict[str, Any] | None, config: Any = None, shape: tuple[int, int] = (1, handmade.FRAMES)
+) -> None:
     h5py = pytest.importorskip("h5py")
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, fields in (config or {}).items():
             put(file, name, fields)
         if columns is not None:
-            put_structs(file, "log", list(as_dicts(columns)), shape)
+            put_structs(file, "log", list(handmade.as_dicts(columns)), shape)
     with path.open("r+b") as whole:
         whole.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
 
 
-@pytest.mark.parametrize("shape", [(1, FRAMES), (FRAMES, 1)])
+@pytest.mark.parametrize("shape", [(1, handmade.FRAMES), (handmade.FRAMES, 1)])
 def test_a_log_of_version_7_3_gives_the_same_frames_as_often_as_asked(tmp_path: Path, shape: tuple[int, int]) -> None:
-    columns, folder = log_arrays(), lab(tmp_path / "lab", form="")
+    columns, folder = handmade.log_arrays(), handmade.lab(tmp_path / "lab", form="")
     saved(folder / "log.mat", columns, shape=shape)
     recording = open_lab(folder)
     for frames in read_twice(recording, columns):
@@ -231,33 +225,33 @@ def test_a_log_of_version_7_3_gives_the_same_frames_as_often_as_asked(tmp_path: 
 
 
 @pytest.mark.parametrize(("change", "said"), [
-    (lambda c: c.update(rgb=["an image"] * FRAMES), r"log\(1\).rgb: text; numbers are needed"),
+    (lambda c: c.update(rgb=["an image"] * handmade.FRAMES), r"log\(1\).rgb: text; numbers are needed"),
     (lambda c: c["timestamp"].__setitem__(2, 10.1), r"log\(3\).timestamp: 10.1 s follows 10.1 s"),
     (lambda c: c.pop("xyz"), "the log has no xyz"),
 ])  # fmt: skip
 def test_faults_of_a_log_of_version_7_3_are_named(tmp_path, change, said):
-    columns: dict[str, Any] = log_arrays()
+    columns: dict[str, Any] = handmade.log_arrays()
     change(columns)
-    folder = lab(tmp_path / "lab", form="")
+    folder = handmade.lab(tmp_path / "lab", form="")
     saved(folder / "log.mat", columns)
-    refuse(folder, said)
+    handmade.refuse(folder, said)
 
 
 def test_damaged_files_of_version_7_3_are_refused_in_a_line(tmp_path: Path) -> None:
-    folder = lab(tmp_path / "lab", form="")
-    saved(folder / "log.mat", log_arrays())
+    folder = handmade.lab(tmp_path / "lab", form="")
+    saved(folder / "log.mat", handmade.log_arrays())
     content = (folder / "log.mat").read_bytes()
     (folder / "log.mat").write_bytes(content[: len(content) // 2])
-    refuse(folder, r"log.mat: damaged: ")
+    handmade.refuse(folder, r"log.mat: damaged: ")
 
 
 def test_without_h5py_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "h5py", None)
-    folder = lab(tmp_path / "lab")
+    folder = handmade.lab(tmp_path / "lab")
     (folder / "log.mat").write_bytes(
         b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(384) + b"\x89HDF\r\n\x1a\n"
     )
-    refuse(folder, f"log.mat: {WITHOUT}")
+    handmade.refuse(folder, f"log.mat: {WITHOUT}")
 
 
 STREAM = """

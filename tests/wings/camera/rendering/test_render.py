@@ -8,16 +8,7 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from tests.wings.camera.rendering.galleries import (
-    CLEAN,
-    SMALL,
-    SMALL_CLEAN,
-    averaged,
-    ends,
-    true_pixels,
-    views,
-    visible,
-)
+from tests.wings.camera.rendering import galleries
 from wings.camera.gallery import Gallery, in_camera, to_pixels
 from wings.camera.rendering.render import Rendered, sideways_motion, smeared_noise, stereo_points
 
@@ -26,7 +17,7 @@ def rectified(recording: Rendered, frame: int, number: int) -> np.ndarray:
     """A picture cut out of the image by its true corners, as large as its reference, grey."""
     h, w = recording.references[number].shape[:2]
     own = np.array([[-0.5, -0.5], [w - 0.5, -0.5], [w - 0.5, h - 0.5], [-0.5, h - 0.5]])
-    pixels = true_pixels(recording, frame)[number]
+    pixels = galleries.true_pixels(recording, frame)[number]
     H = cv2.getPerspectiveTransform(own.astype(np.float32), pixels.astype(np.float32))
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     cut = cv2.warpPerspective(recording.frame(frame).rgb, H, (w, h), flags=flags)
@@ -48,12 +39,12 @@ class TestImagesAreTrueToTheGeometry:
     @pytest.mark.parametrize("width", [96, 120])
     @pytest.mark.slow
     def test_a_picture_finer_than_the_image_is_averaged_and_neither_glitters_nor_blurs(self, width):
-        small = replace(SMALL_CLEAN, image_width=width, image_height=width * 3 // 4, pictures=4)
+        small = replace(galleries.SMALL_CLEAN, image_width=width, image_height=width * 3 // 4, pictures=4)
         recording = Rendered(small, 0)
-        seen = ends(recording)
+        seen = galleries.ends(recording)
         assert len(seen) == 8
         for k, number in seen:
-            image, covered, colour = averaged(recording, k, number)
+            image, covered, colour = galleries.averaged(recording, k, number)
             whole = covered > 0.999
             beside = whole[:, 1:] & whole[:, :-1]
             drawn, wanted = (np.abs(np.diff(i, axis=1))[beside].mean() for i in (image, colour))
@@ -61,10 +52,10 @@ class TestImagesAreTrueToTheGeometry:
             assert np.sqrt(np.mean((image - colour)[whole] ** 2)) < 0.25 * colour[whole].std()
 
     def test_a_pixel_on_a_picture_s_edge_has_of_its_colour_the_share_that_is_covered(self):
-        recording = Rendered(replace(SMALL_CLEAN, image_width=160, image_height=120, pictures=4), 0)
+        recording = Rendered(replace(galleries.SMALL_CLEAN, image_width=160, image_height=120, pictures=4), 0)
         checked = {0.9: 0, 0.5: 0}
-        for k, number in ends(recording):
-            image, covered, colour = averaged(recording, k, number)
+        for k, number in galleries.ends(recording):
+            image, covered, colour = galleries.averaged(recording, k, number)
             beside = (cv2.dilate((covered > 0.0).astype(np.uint8), np.ones((5, 5))) > 0) & (covered == 0.0)
             wall = np.median(image[beside], axis=0)
             assert wall.min() > 20.0
@@ -84,15 +75,15 @@ class TestImagesAreTrueToTheGeometry:
     @pytest.mark.slow
     def test_no_picture_is_off_by_a_tenth_of_a_pixel(self, clean):
         shifts = []
-        for frame, number in views(clean):
+        for frame, number in galleries.views(clean):
             cut, reference = rectified(clean, frame, number), soft(clean.references[number])
-            scale = np.linalg.norm(np.diff(true_pixels(clean, frame)[number][:2], axis=0)) / cut.shape[1]
+            scale = np.linalg.norm(np.diff(galleries.true_pixels(clean, frame)[number][:2], axis=0)) / cut.shape[1]
             shifts.append(shift(reference, cut) * scale)
         assert np.abs(np.median(shifts, axis=0)).max() < 0.03
         assert np.abs(shifts).max() < 0.1
 
     def test_walls_beside_the_pictures_stay_plain(self, clean):
-        k = next(k for k in range(len(clean)) if not visible(clean, k))
+        k = next(k for k in range(len(clean)) if not galleries.visible(clean, k))
         grey = cv2.cvtColor(clean.frame(k).rgb, cv2.COLOR_RGB2GRAY)
         outside = np.ones_like(grey)
         for s in clean.projections(k):
@@ -105,7 +96,7 @@ class TestImagesAreTrueToTheGeometry:
 class TestLightAndLens:
     def light(self, **options: float) -> np.ndarray:
         """Gain, and grey level added to a middle grey, of six frames: (6, 2)."""
-        lit, plain = Rendered(replace(SMALL_CLEAN, **options), 0), Rendered(SMALL_CLEAN, 0)
+        lit, plain = Rendered(replace(galleries.SMALL_CLEAN, **options), 0), Rendered(galleries.SMALL_CLEAN, 0)
         found = []
         for k in range(6):
             a, b = plain.frame(k).rgb.astype(float).ravel(), lit.frame(k).rgb.astype(float).ravel()
@@ -125,7 +116,7 @@ class TestLightAndLens:
         assert np.abs(offset).max() < 1.0
 
     def test_image_noise_has_the_stated_size(self):
-        noisy, plain = Rendered(replace(SMALL_CLEAN, image_noise=3.0), 0), Rendered(SMALL_CLEAN, 0)
+        noisy, plain = Rendered(replace(galleries.SMALL_CLEAN, image_noise=3.0), 0), Rendered(galleries.SMALL_CLEAN, 0)
         a, b = (r.frame(0).rgb.astype(float) for r in (noisy, plain))
         middle = (b > 20) & (b < 235)
         assert (a - b)[middle].std() == pytest.approx(math.sqrt(9.0 + 1.0 / 12.0), rel=0.02)
@@ -136,7 +127,7 @@ class TestLightAndLens:
 
     @pytest.mark.slow
     def test_blur_follows_the_robots_turn_and_stays_where_it_is(self):
-        plain, blurred = Rendered(CLEAN, 0), Rendered(replace(CLEAN, exposure=0.03), 0)
+        plain, blurred = Rendered(galleries.CLEAN, 0), Rendered(replace(galleries.CLEAN, exposure=0.03), 0)
         moving = np.abs(plain.scene.command[:, 1]) > 0.1
         kept = {True: [], False: []}
         for k in range(2, 100, 9):
@@ -159,7 +150,7 @@ class TestLightAndLens:
 
     @pytest.mark.parametrize(("v", "omega"), [(0.3, 0.0), (0.0, 0.5), (0.2, -0.7)])
     def test_the_motion_that_blurs_is_that_of_a_point_ahead_of_the_camera(self, v, omega):
-        g, depth, dt = CLEAN, 2.3, 1e-5
+        g, depth, dt = galleries.CLEAN, 2.3, 1e-5
         eye, a = np.array([g.camera_x, g.camera_y]), g.camera_yaw
         point = np.append(eye + depth * np.array([math.cos(a), math.sin(a)]), g.camera_height)
         before, after = (
@@ -171,7 +162,7 @@ class TestLightAndLens:
 class TestTheRecording:
     @pytest.mark.slow
     def test_the_same_seed_gives_the_same_bytes_in_any_order(self):
-        a, b, c = Rendered(SMALL, 3), Rendered(SMALL, 3, frames=20), Rendered(SMALL, 4)
+        a, b, c = Rendered(galleries.SMALL, 3), Rendered(galleries.SMALL, 3, frames=20), Rendered(galleries.SMALL, 4)
         frames = list(b.frames())
         assert len(frames) == len(b) == 20
         for k in (7, 2, 7):
@@ -185,7 +176,7 @@ class TestTheRecording:
 
     def test_frames_carry_time_and_recorded_commands_and_come_again(self, default):
         scene = default.scene
-        short = Rendered(SMALL, 5, frames=4)
+        short = Rendered(galleries.SMALL, 5, frames=4)
         for _ in range(2):
             for k, f in enumerate(short.frames()):
                 assert f.time == short.scene.time[k]
@@ -196,10 +187,10 @@ class TestTheRecording:
     @pytest.mark.parametrize("frames", [0, -1, 49])
     def test_more_frames_than_there_are_are_refused(self, frames):
         with pytest.raises(UsageError, match=rf"frames = {frames}; from 1 to 48"):
-            Rendered(SMALL, 0, frames=frames)
+            Rendered(galleries.SMALL, 0, frames=frames)
 
     def test_images_of_odd_size_and_a_camera_that_looks_along_an_axis_are_fine(self):
-        g = replace(SMALL_CLEAN, image_width=321, image_height=241, camera_yaw=0.0)
+        g = replace(galleries.SMALL_CLEAN, image_width=321, image_height=241, camera_yaw=0.0)
         frame = Rendered(g, 0).frame(0)
         assert frame.rgb.shape == (241, 321, 3)
         assert np.isfinite(frame.xyz).all()
@@ -218,7 +209,7 @@ class TestStereoIsTrueToTheGeometry:
     @pytest.mark.slow
     def test_every_depth_is_where_the_ray_meets_the_nearest_surface(self, clean):
         rng = np.random.default_rng(0)
-        g, low, high = CLEAN, np.array([-3.5, -2.6, 0.0]), np.array([3.5, 2.6, 2.6])
+        g, low, high = galleries.CLEAN, np.array([-3.5, -2.6, 0.0]), np.array([3.5, 2.6, 2.6])
         for k in range(0, len(clean), 24):
             xyz = clean.frame(k).xyz
             assert np.isfinite(xyz).all()
@@ -239,23 +230,23 @@ class TestStereoIsTrueToTheGeometry:
         checked = 0
         rotation, T = clean.setup.rotation, np.array(clean.setup.translation)
         R = np.array([[math.cos(rotation), -math.sin(rotation)], [math.sin(rotation), math.cos(rotation)]])
-        for k, number in views(clean):
+        for k, number in galleries.views(clean):
             xyz, (x, y, t) = clean.frame(k).xyz, clean.scene.pose[k]
-            for corner, pixel in enumerate(true_pixels(clean, k)[number]):
+            for corner, pixel in enumerate(galleries.true_pixels(clean, k)[number]):
                 p = bilinear(xyz, pixel)
                 body = R.T @ (p[[0, 2]] - T)
                 world = np.array([x, y]) + [[math.cos(t), -math.sin(t)], [math.sin(t), math.cos(t)]] @ body
                 assert np.allclose(world, clean.setup.corners[number, corner], atol=1e-4)
                 height = clean.scene.corners[number, corner, 2]
-                assert CLEAN.camera_height - p[1] == pytest.approx(height, abs=1e-4)
+                assert galleries.CLEAN.camera_height - p[1] == pytest.approx(height, abs=1e-4)
                 checked += 1
         assert checked == 96
 
     @pytest.mark.slow
     def test_with_noise_the_corner_errs_by_the_noise_of_stereo(self):
-        g = replace(CLEAN, disparity_noise=0.25, reference_width=120)
+        g = replace(galleries.CLEAN, disparity_noise=0.25, reference_width=120)
         noisy, score = Rendered(g, 0), []
-        for k, number in views(noisy, 4):
+        for k, number in galleries.views(noisy, 4):
             xyz = noisy.frame(k).xyz
             for sight in noisy.in_view(k):
                 if sight.picture == number:
@@ -276,19 +267,19 @@ class TestStereoNoise:
 
     @pytest.mark.parametrize("depth", [1.0, 2.0, 3.0])
     def test_depth_noise_grows_with_the_square_of_the_depth(self, depth):
-        z = self.points(replace(CLEAN, disparity_noise=0.25), depth)[:, :, 2]
-        assert z.std() == pytest.approx(depth**2 * 0.25 / (CLEAN.focal * CLEAN.baseline), rel=0.03)
+        z = self.points(replace(galleries.CLEAN, disparity_noise=0.25), depth)[:, :, 2]
+        assert z.std() == pytest.approx(depth**2 * 0.25 / (galleries.CLEAN.focal * galleries.CLEAN.baseline), rel=0.03)
         assert z.mean() == pytest.approx(depth, rel=2e-3)
 
     def test_points_err_along_their_rays(self):
-        p = self.points(replace(CLEAN, disparity_noise=0.25), 2.0)
+        p = self.points(replace(galleries.CLEAN, disparity_noise=0.25), 2.0)
         u, v = np.meshgrid(np.arange(640), np.arange(480))
-        assert np.allclose(p[:, :, 0] / p[:, :, 2], (u - 319.5) / CLEAN.focal, atol=1e-6)
-        assert np.allclose(p[:, :, 1] / p[:, :, 2], (v - 239.5) / CLEAN.focal, atol=1e-6)
+        assert np.allclose(p[:, :, 0] / p[:, :, 2], (u - 319.5) / galleries.CLEAN.focal, atol=1e-6)
+        assert np.allclose(p[:, :, 1] / p[:, :, 2], (v - 239.5) / galleries.CLEAN.focal, atol=1e-6)
 
     def test_disparities_are_whole_steps(self):
-        p = self.points(replace(CLEAN, disparity_noise=0.3, disparity_step=0.125), 2.5)
-        steps = CLEAN.focal * CLEAN.baseline / p[:, :, 2] / 0.125
+        p = self.points(replace(galleries.CLEAN, disparity_noise=0.3, disparity_step=0.125), 2.5)
+        steps = galleries.CLEAN.focal * galleries.CLEAN.baseline / p[:, :, 2] / 0.125
         assert np.abs(steps - np.rint(steps)).max() < 1e-3
         assert len(np.unique(np.rint(steps))) > 5
 
@@ -304,14 +295,14 @@ class TestStereoNoise:
         assert (shared > 0.05) == (smear > 0)
 
     def test_a_disparity_below_zero_is_no_point(self):
-        z = self.points(replace(CLEAN, disparity_noise=5.0), 20.0)[:, :, 2]
+        z = self.points(replace(galleries.CLEAN, disparity_noise=5.0), 20.0)[:, :, 2]
         assert np.isnan(z).any()
         assert np.nanmin(z) > 0
 
 
 class TestHoles:
     def share(self, **options: float) -> float:
-        return float(np.isnan(Rendered(replace(SMALL_CLEAN, **options), 1).frame(5).xyz[:, :, 2]).mean())
+        return float(np.isnan(Rendered(replace(galleries.SMALL_CLEAN, **options), 1).frame(5).xyz[:, :, 2]).mean())
 
     @pytest.mark.slow
     def test_each_kind_of_hole_can_be_turned_on_by_itself(self):
@@ -325,9 +316,9 @@ class TestHoles:
     @pytest.mark.slow
     def test_the_outline_of_a_picture_has_no_depth_and_its_inside_has(self, default):
         filled = []
-        for k, number in views(default):
+        for k, number in galleries.views(default):
             z = default.frame(k).xyz[:, :, 2]
-            corners = true_pixels(default, k)[number]
+            corners = galleries.true_pixels(default, k)[number]
             for pixel in np.rint(corners).astype(int):
                 assert np.isnan(z[pixel[1], pixel[0]])
             inside = np.zeros(z.shape, np.uint8)

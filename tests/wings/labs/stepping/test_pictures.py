@@ -20,18 +20,8 @@ from eval.figures.style import drawing
 from eval.referee.confusion import OUTCOMES
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
+from wings.labs.stepping import pictures
 from wings.labs.stepping.command import main
-from wings.labs.stepping.pictures import (
-    BAD,
-    LANDMARK,
-    enlarged_figure,
-    field_of_view,
-    paint_compatibility,
-    paint_ground_truth,
-    paint_map,
-    paint_matching,
-    paint_observations,
-)
 from wings.labs.stepping.problem import Matching, TruthRow
 from wings.labs.stepping.text import COMPONENTS, columns_of_run, poses_block, run_text
 
@@ -73,9 +63,9 @@ def titles(fig: Figure) -> list[str]:
 
 
 def test_the_field_of_view_is_what_the_sensor_says_is_in_view():
-    assert field_of_view(RelativePoint()) is None
+    assert pictures.field_of_view(RelativePoint()) is None
     sensor = RangeBearing(max_range=5.0, min_angle=-0.5, max_angle=1.0, rotation=0.4, translation=(0.2, 0.1))
-    outline = field_of_view(sensor)
+    outline = pictures.field_of_view(sensor)
     z = sensor.predict(np.zeros(3), outline)
     assert np.all(sensor.in_view(z[1:-1], margin_range=1e-9, margin_angle=1e-9))
     assert z[1:-1, 0] == pytest.approx(5.0)
@@ -84,7 +74,7 @@ def test_the_field_of_view_is_what_the_sensor_says_is_in_view():
 
 
 def test_matching_shows_all_methods_side_by_side_with_their_counts_and_marks_the_one_that_updates():
-    fig = painted(paint_matching, problem())
+    fig = painted(pictures.paint_matching, problem())
     assert titles(fig) == [
         "ground truth: 2 paired, 1 new, 0 discarded",
         "NN: TP 1  TN 1  FP 1  FN 0",
@@ -95,13 +85,13 @@ def test_matching_shows_all_methods_side_by_side_with_their_counts_and_marks_the
     assert [ax.spines["left"].get_linewidth() > 1.5 for ax in fig.axes] == [False] * 4 + [True]
     # landmarks that somebody may be paired with are named; the wrong observation is in every method's panel, all of
     # them in the first
-    assert [written(ax, LANDMARK) for ax in fig.axes] == [["3", "4", "5"]] * 5
+    assert [written(ax, pictures.LANDMARK) for ax in fig.axes] == [["3", "4", "5"]] * 5
     assert [written(ax, "#202020") for ax in fig.axes] == [["0", "1", "2"], *[[]] * 4]
-    assert [written(ax, BAD) for ax in fig.axes] == [[], *[["1"]] * 4]
+    assert [written(ax, pictures.BAD) for ax in fig.axes] == [[], *[["1"]] * 4]
 
 
 def test_an_enlarged_frame_shows_a_wrong_observation_its_landmark_and_the_right_one():
-    fig = enlarged_figure(problem(), ["nn"])
+    fig = pictures.enlarged_figure(problem(), ["nn"])
     assert np.ptp(fig.axes[0].get_xlim()) == pytest.approx(2.0 * 0.8 * (4.0 - 1.85))
 
 
@@ -110,7 +100,7 @@ def test_another_method_gets_a_panel_of_its_own_and_one_without_decisions_says_w
     m = problem()
     more = {**m.decisions, "ml": "singular innovation covariance", "gnn": m.decisions["nn"]}
     truth = {**m.truth, "gnn": m.truth["nn"]}
-    fig = painted(paint_matching, dataclasses.replace(m, decisions=more, truth=truth, chosen="gnn"))
+    fig = painted(pictures.paint_matching, dataclasses.replace(m, decisions=more, truth=truth, chosen="gnn"))
     assert len(fig.axes) == 6
     assert titles(fig)[3] == "ML: singular innovation covariance"
     assert titles(fig)[5].startswith("GNN (updates): TP 1")
@@ -120,13 +110,13 @@ def test_another_method_gets_a_panel_of_its_own_and_one_without_decisions_says_w
 def test_without_truth_decisions_are_counted_instead_of_judged():
     m = problem()
     decisions = {name: d for name, d in m.decisions.items() if name != "truth"}
-    fig = painted(paint_matching, dataclasses.replace(m, decisions=decisions, truth={}, right=None))
+    fig = painted(pictures.paint_matching, dataclasses.replace(m, decisions=decisions, truth={}, right=None))
     assert titles(fig)[0] == "NN: 2 paired, 1 new, 0 discarded"
     assert len(fig.axes) == 4
 
 
 def test_compatibility_tells_of_true_pairs_that_do_not_fit():
-    fig = painted(paint_compatibility, problem())
+    fig = painted(pictures.paint_compatibility, problem())
     assert titles(fig) == ["by hand: compatibility (2 pairs), robot frame"]
     assert "true pair that is not compatible" in [t.get_text() for t in fig.legends[0].get_texts()]
 
@@ -135,20 +125,22 @@ def test_a_landmark_far_away_does_not_make_the_scene_small():
     m = problem()
     z_hat = m.expectation.z_hat.copy()
     z_hat[2] = [400.0, 0.0]
-    fig = painted(paint_matching, dataclasses.replace(m, expectation=dataclasses.replace(m.expectation, z_hat=z_hat)))
+    fig = painted(
+        pictures.paint_matching, dataclasses.replace(m, expectation=dataclasses.replace(m.expectation, z_hat=z_hat))
+    )
     assert np.ptp(fig.axes[0].get_xlim()) < 20.0
 
 
 def test_observations_are_numbered_and_none_is_no_mistake():
     e = problem().expectation
-    fig = painted(paint_observations, PLAIN, e.z, e.R, "title")
+    fig = painted(pictures.paint_observations, PLAIN, e.z, e.R, "title")
     assert [t.get_text() for t in fig.axes[0].texts] == ["0", "1", "2"]
-    painted(paint_observations, PLAIN, np.empty((0, 2)), np.empty((0, 2, 2)), "nothing")
+    painted(pictures.paint_observations, PLAIN, np.empty((0, 2)), np.empty((0, 2, 2)), "nothing")
 
 
 def test_ground_truth_marks_what_is_seen_and_who_is_no_landmark():
     log = open_log("corridor:0:people")
-    fig = painted(paint_ground_truth, log, 14, "step 14")
+    fig = painted(pictures.paint_ground_truth, log, 14, "step 14")
     labels = fig.axes[0].get_legend_handles_labels()[1]
     who = log.truth.landmark_of[slice(*log.recorded.start[14:16].tolist())]
     assert f"{len(set(who[who >= 0].tolist()))} observed" in labels
@@ -156,14 +148,14 @@ def test_ground_truth_marks_what_is_seen_and_who_is_no_landmark():
     (robot,) = [line for line in fig.axes[0].lines if line.get_label() == "true pose"]
     assert np.allclose(robot.get_xydata()[0], log.truth.pose[14, :2])
     dark = dataclasses.replace(log, truth=Truth(landmarks=log.truth.landmarks))
-    assert "no true pose here" in titles(painted(paint_ground_truth, dark, 14, "step 14"))[0]
+    assert "no true pose here" in titles(painted(pictures.paint_ground_truth, dark, 14, "step 14"))[0]
 
 
 def test_the_map_shows_landmarks_robot_and_path_of_the_estimate():
     log = simulate(Arena(frames=6), 0)
     now = PoseEstimate(np.array([1.0, 2.0, 0.5]), np.diag([0.01, 0.04, 0.001]))
     landmarks = MapState(np.array([0, 4]), np.array([[3.0, 3.0], [5.0, 1.0]]), np.tile(0.09 * np.eye(2), (2, 1, 1)))
-    fig = painted(paint_map, log, 3, "ekf", np.array([[0.0, 0.0], [1.0, 2.0]]), now, landmarks, "here")
+    fig = painted(pictures.paint_map, log, 3, "ekf", np.array([[0.0, 0.0], [1.0, 2.0]]), now, landmarks, "here")
     labels = fig.axes[0].get_legend_handles_labels()[1]
     assert "2 landmarks, numbered" in labels
     assert [t.get_text() for t in fig.axes[0].texts] == ["0", "4"]
@@ -171,7 +163,7 @@ def test_the_map_shows_landmarks_robot_and_path_of_the_estimate():
     assert any(box.width == pytest.approx(2 * 3 * 0.1, rel=0.01) for box in ellipses)  # the robot's, 3 sigma
     assert any(box.width == pytest.approx(2 * 3 * 0.3, rel=0.01) for box in ellipses)
     empty = MapState(np.empty(0, int), np.empty((0, 2)), np.empty((0, 2, 2)))
-    painted(paint_map, log, 0, "isam2", np.zeros((1, 2)), now, empty, "nothing yet")
+    painted(pictures.paint_map, log, 0, "isam2", np.zeros((1, 2)), now, empty, "nothing yet")
 
 
 WORLD = "mixed:7:jumps=true+closure_gap=2+closure_period=1"

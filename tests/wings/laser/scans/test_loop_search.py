@@ -7,16 +7,10 @@ import pytest
 
 from data.se2 import Array, between, compose, inverse
 from tests.wings.laser.scans.rooms import ROOM, SCANNER, scan
+from wings.laser.scans import uncertainty
 from wings.laser.scans.matching import CELL, best_pose, pyramid
 from wings.laser.scans.occupancy import contradiction
 from wings.laser.scans.points import beams_of, scan_points
-from wings.laser.scans.uncertainty import (
-    PoseEdges,
-    compose_covariances,
-    inverse_covariance,
-    learned_scale,
-    nearest_first,
-)
 
 RNG = np.random.default_rng(11)
 
@@ -36,34 +30,36 @@ def test_covariances_of_composed_and_inverted_poses_are_those_of_numerical_jacob
     a, b = rng.standard_normal(3), rng.standard_normal(3)
     A, B = _spread(rng), _spread(rng)
     Ja, Jb, Ji = _slope(lambda x: compose(x, b), a), _slope(lambda x: compose(a, x), b), _slope(inverse, a)
-    np.testing.assert_allclose(compose_covariances(a, A, b, B), Ja @ A @ Ja.T + Jb @ B @ Jb.T, atol=1e-10)
-    np.testing.assert_allclose(inverse_covariance(a, A), Ji @ A @ Ji.T, atol=1e-10)
+    np.testing.assert_allclose(uncertainty.compose_covariances(a, A, b, B), Ja @ A @ Ja.T + Jb @ B @ Jb.T, atol=1e-10)
+    np.testing.assert_allclose(uncertainty.inverse_covariance(a, A), Ji @ A @ Ji.T, atol=1e-10)
 
 
 def test_uncertainty_follows_the_surest_path_whichever_way_its_edges_point() -> None:
     rng = np.random.default_rng(4)
-    edges = PoseEdges()
+    edges = uncertainty.PoseEdges()
     relative, covariance = rng.standard_normal((99, 3)), np.array([_spread(rng, 0.02) for _ in range(99)])
     for k in range(99):
         edges.add(k, k + 1, relative[k], covariance[k])
     pose, C = np.zeros(3), np.zeros((3, 3))
     for k in range(99):
-        C, pose = compose_covariances(pose, C, relative[k], covariance[k]), compose(pose, relative[k])
+        C, pose = uncertainty.compose_covariances(pose, C, relative[k], covariance[k]), compose(pose, relative[k])
     np.testing.assert_allclose(edges.project(0, np.array([99]))[0], C, rtol=1e-9)
-    np.testing.assert_allclose(edges.project(99, np.array([0]))[0], inverse_covariance(pose, C), rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        edges.project(99, np.array([0]))[0], uncertainty.inverse_covariance(pose, C), rtol=1e-6, atol=1e-9
+    )
     edges.add(0, 99, pose, 1e4 * np.eye(3))
     np.testing.assert_allclose(edges.project(0, np.array([99]))[0], C, rtol=1e-9)
     short = 1e-6 * np.eye(3)
     edges.add(2, 90, np.array([1.0, 2.0, 0.5]), short)
-    expected = inverse_covariance(np.array([1.0, 2.0, 0.5]), short)
+    expected = uncertainty.inverse_covariance(np.array([1.0, 2.0, 0.5]), short)
     np.testing.assert_allclose(edges.project(90, np.array([2]))[0], expected, rtol=1e-9, atol=1e-15)
     assert np.isinf(edges.project(0, np.array([100]))[0]).all()
 
 
 def test_candidates_are_the_nearest_ones_apart_from_each_other() -> None:
     distance = np.array([0.3, 0.1, 0.2, np.inf, 5.0, 0.4])
-    np.testing.assert_array_equal(nearest_first(np.arange(len(distance)), distance, 2, 3), [1, 5])
-    np.testing.assert_array_equal(nearest_first(np.arange(len(distance)), distance, 1, 2), [1, 2])
+    np.testing.assert_array_equal(uncertainty.nearest_first(np.arange(len(distance)), distance, 2, 3), [1, 5])
+    np.testing.assert_array_equal(uncertainty.nearest_first(np.arange(len(distance)), distance, 1, 2), [1, 2])
 
 
 def test_search_finds_the_best_pose_of_its_window() -> None:
@@ -105,8 +101,8 @@ def test_scale_is_found_from_gaussian_and_from_heavy_tailed_residuals() -> None:
             e = e / np.sqrt(RNG.chisquare(nu, 4000) / nu)[:, None]
         covariance = scale * (1.0 if nu is None else nu / (nu - 2.0))
         # three quarters of what there was: a graph whose optimum ate the rest
-        found, error = learned_scale(0.75 * (e**2).sum(axis=1), 3000)
+        found, error = uncertainty.learned_scale(0.75 * (e**2).sum(axis=1), 3000)
         assert 0.0 < error < 0.1 * found
         assert abs(found - covariance) < 0.15 * covariance
     with pytest.raises(ValueError, match="loop closures"):
-        learned_scale(np.ones(5), 0)
+        uncertainty.learned_scale(np.ones(5), 0)
