@@ -14,7 +14,7 @@ from eval.judgement.judgement import Verdict, judge
 from eval.judgement.runs import Objection
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
-from wings.laser import faults
+from wings.laser.score import faults
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def changed(trial, **parts):
 
 
 def codes(trial):
-    return {n.code for n in faults.faults(trial)}
+    return {n.code for n in faults(trial)}
 
 
 def test_a_right_path_is_objected_to_by_nothing(trial):
@@ -45,7 +45,7 @@ def test_half_a_turn_that_no_wheel_reported_is_named_with_its_frame(trial):
     chain = trial.runs[0].chain
     motion = chain.motion.copy()
     motion[40, 2] += 3.1
-    (found,) = faults.faults(changed(trial, chain=replace(chain, motion=motion), key_pose=trial.runs[0].key_pose))
+    (found,) = faults(changed(trial, chain=replace(chain, motion=motion), key_pose=trial.runs[0].key_pose))
     assert found.code is Code.AGAINST_WHEELS
     assert found.frame == chain.frame[40]
     assert found.named["turned"] > 170.0

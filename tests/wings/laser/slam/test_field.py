@@ -17,9 +17,8 @@ from eval.referee.relations import relation_errors
 from eval.referee.score import Trial
 from eval.replay.run import compare
 from tests.wings.laser.slam.field import halls, reporting_forward, ring, slipping_at_rest, symmetric_room
-from wings.laser import faults
 from wings.laser.carmen import load_carmen
-from wings.laser.score import right_closures
+from wings.laser.score import faults, right_closures
 from wings.laser.slam.front_end import run_front_end
 from wings.laser.slam.parameters import LaserParameters
 
@@ -74,7 +73,7 @@ def test_in_halls_of_equal_rows_no_loop_closure_is_wrong(panes):
     assert believed.sum() > 100
     assert right_closures(run.loops, log.truth.pose[run.chain.frame])[believed].all()
     assert aligned_rmse(run.last, log.truth.pose) < 0.03
-    assert not faults.faults(Trial(log, "slam", (run,)))
+    assert not faults(Trial(log, "slam", (run,)))
 
 
 @pytest.mark.slow
@@ -83,7 +82,7 @@ def test_where_a_short_reach_between_equal_rows_leads_astray_the_walls_are_doubl
     log = halls(0, panes=0.5, reach=4.0, thin=5, bias=0.1)
     (run,) = compare(log.recorded, "slam", ["isam2"], "scan")
     assert aligned_rmse(run.last, log.truth.pose) > 1.0
-    assert Code.DOUBLED_WALLS in {n.code for n in faults.faults(Trial(log, "slam", (run,)))}
+    assert Code.DOUBLED_WALLS in {n.code for n in faults(Trial(log, "slam", (run,)))}
 
 
 @pytest.mark.slow
@@ -99,7 +98,7 @@ def test_loop_closures_that_a_wrong_path_believes_and_the_map_does_not_are_not_b
     error = pose_error(loops.relative, between(keys[loops.key1], keys[loops.key2]))[believed]
     assert np.hypot(error[:, 0], error[:, 1]).max() < 0.3
     assert Code.CHAIN_WIDENED in {n.code for n in run.notes}
-    assert Code.DOUBLED_WALLS not in {n.code for n in faults.faults(Trial(log, "slam", (run,)))}
+    assert Code.DOUBLED_WALLS not in {n.code for n in faults(Trial(log, "slam", (run,)))}
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from data.se2 import between, compose
 from tests.wings.laser.scans.rooms import ROOM, SCANNER, scan
 from wings.laser.scans.matching import Match
 from wings.laser.scans.points import Points, beams_of, scan_points
-from wings.laser.slam import tracker as module
+from wings.laser.slam import incremental as module
 from wings.laser.slam.incremental import Tracker
 from wings.laser.slam.parameters import LaserParameters
 
