@@ -9,7 +9,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from data.columns.arrays import parts_of_arrays
+from data.columns.parts import parts_of_arrays
 from data.inputs import UNLABELLED, Inputs, IntArray, LabelledObservations
 from data.notice import Notice
 from data.origin import Origins, assumed

@@ -18,21 +18,11 @@ from data.log import Log
 from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor
 from data.truth import Truth
-from data.worlds.parameters import (
-    Imperfect,
-    as_read,
-    check_parameters,
-    drawn_prior,
-    dressed,
-    driven,
-    reported,
-    streams,
-    surveyed,
-)
+from data.worlds import parameters
 
 
 @dataclass(frozen=True)
-class Arena(Imperfect):
+class Arena(parameters.Imperfect):
     """Parameters of the world; with the defaults linearization errors are small.
 
     Attributes:
@@ -87,7 +77,7 @@ class Arena(Imperfect):
 
     def __post_init__(self) -> None:
         world = type(self).__name__.lower()
-        check_parameters(world, self, positive=self.positive, signed=self.signed, choices=self.choices)
+        parameters.check_parameters(world, self, positive=self.positive, signed=self.signed, choices=self.choices)
         if not self.detection <= 1.0:
             raise UsageError(f"{world}: detection = {self.detection}; a probability is needed")
 
@@ -105,7 +95,7 @@ class Arena(Imperfect):
 
 def simulate(arena: Arena, seed: int, name: str | None = None) -> Log:
     """One log of the arena. Same parameters and seed: same bytes."""
-    map_rng, odometry_rng, sensor_rng, prior_rng = streams(seed, 4)
+    map_rng, odometry_rng, sensor_rng, prior_rng = parameters.streams(seed, 4)
     centre = np.array([0.0, arena.radius])
     landmarks = centre + map_rng.uniform(-0.5 * arena.side, 0.5 * arena.side, (arena.landmarks, 2))
     frame_time = arena.period * np.arange(arena.frames, dtype=np.float64)
@@ -115,17 +105,17 @@ def simulate(arena: Arena, seed: int, name: str | None = None) -> Log:
     v = np.full(len(time), arena.speed)
     omega = arena.speed / arena.radius + arena.swing * np.sin(2.0 * math.pi * time / 15.0)
     density = (arena.sigma_v, arena.sigma_omega)
-    truth, increments, floored = driven(dt, v, omega, frame_time, np.zeros(3), density, odometry_rng)
-    increments, errors = reported(arena, increments, seed)
+    truth, increments, floored = parameters.driven(dt, v, omega, frame_time, np.zeros(3), density, odometry_rng)
+    increments, errors = parameters.reported(arena, increments, seed)
     sensor = arena.model()
     frame, z, true_id = observe(arena, sensor, truth, landmarks, sensor_rng)
     R = np.tile(np.diag(np.square(arena.sigma())), (len(z), 1, 1))
     known = LandmarkMap(np.arange(arena.landmarks), landmarks)
-    prior = drawn_prior(truth[0], arena.prior_sigma, arena.prior_sigma_heading, prior_rng)
+    prior = parameters.drawn_prior(truth[0], arena.prior_sigma, arena.prior_sigma_heading, prior_rng)
     inputs = Inputs(prior, frame_time, increments, Observations(frame, z, R), sensor, known, floored=floored)
     truth_side = Truth(truth, known, true_id, errors=errors)
     log = Log(name or f"arena:{seed}", inputs, truth_side, source={"kind": "arena", "seed": seed})
-    return surveyed(dressed(arena, log, seed), arena.sigma_map, seed)
+    return parameters.surveyed(parameters.dressed(arena, log, seed), arena.sigma_map, seed)
 
 
 def observe(
@@ -139,7 +129,7 @@ def observe(
         reported = rng.random(len(landmarks)) < arena.detection
         near = sensor.polar(exact)[:, 0] < arena.min_range
         seen = np.flatnonzero(sensor.in_view(exact) & reported & ~near)
-        z = as_read(arena, sensor, exact[seen]) + sigma * rng.standard_normal((len(seen), 2))
+        z = parameters.as_read(arena, sensor, exact[seen]) + sigma * rng.standard_normal((len(seen), 2))
         false = rng.poisson(arena.clutter)
         r = arena.max_range * np.sqrt(rng.uniform((arena.min_range / arena.max_range) ** 2, 1.0, false))
         b = rng.uniform(sensor.min_angle, sensor.max_angle, false)

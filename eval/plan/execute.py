@@ -20,8 +20,7 @@ from eval.plan.work import Job, work
 from eval.referee.score import Trial
 from eval.studies import store
 from eval.studies.diagnosis import Trust
-from eval.studies.montecarlo import Study, one_run, study_of
-from eval.studies.reproduced import published_rows
+from eval.studies.montecarlo import Study, one_run, published_rows, study_of
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from eval.replay.external.spec import is_foreign, shown
 from eval.report.page.files import check_columns
 from eval.report.terminal import Results, declared_lines, flaws_of, groups_of, lines, study_lines, trust_line
 from eval.report.words import asked, described, status_of, together
-from eval.studies import reproduced, store
+from eval.studies import montecarlo, store
 from eval.studies.montecarlo import failed_declarations, judge, traces
 
 FINE, REJECTED = 0, 1
@@ -103,7 +103,7 @@ def _say(found: Results, console: Console, *, headlines: bool) -> None:
         for trace in traces(study):
             console.detail(trace)
     table = lines(groups_of(found.judgements, found.scores, outcome.studies, found.judged)) if headlines else []
-    for text in [*reproduced.lines(outcome.published), *outcome.skipped, *table]:
+    for text in [*montecarlo.lines(outcome.published), *outcome.skipped, *table]:
         console.say(text)
     for trial, judgement in found.judgements if headlines else []:
         # none of variants, nor where there are results of other programs alone

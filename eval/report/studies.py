@@ -26,8 +26,7 @@ from eval.report import comparison
 from eval.report.page.blocks import Block, Picture, Section, Table
 from eval.report.page.files import written_table
 from eval.report.words import fine_print, paragraph, say
-from eval.studies.montecarlo import DOF, Judged, Study, consistency_table, judge_estimators
-from eval.studies.reproduced import mean_of, rms_of
+from eval.studies.montecarlo import DOF, Judged, Study, consistency_table, judge_estimators, mean_of, rms_of
 
 TableWriter = Callable[[pd.DataFrame, str, str], Table]
 """(frame, name, caption): writes a table in the formats asked for and hands it to the report."""

@@ -7,8 +7,17 @@ import numpy as np
 import pytest
 
 from eval.referee.result_files import PUBLISHED
-from eval.studies.montecarlo import Sample, study_of
-from eval.studies.reproduced import Estimate, difference, lines, mean_of, ours_of, published_rows, rms_of
+from eval.studies.montecarlo import (
+    Estimate,
+    Sample,
+    difference,
+    lines,
+    mean_of,
+    ours_of,
+    published_rows,
+    rms_of,
+    study_of,
+)
 from eval.studies.scenario import Published, Row, load_scenario
 
 
