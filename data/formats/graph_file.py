@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from data.csv_table import bytes_of, is_number
 from data.errors import LARGEST, DataError
@@ -42,8 +43,8 @@ EDGES = {
 SWITCHED = ("EDGE_SE2_SWITCHABLE", "EDGE_SE3_SWITCHABLE")
 IDS = {"EDGE_SE3_TRACKXYZ": 3, "EDGE_SE2_POINTXY_OFFSET": 3, "EDGE_SE2_OFFSET": 4, **dict.fromkeys(SWITCHED, 3)}
 """Ids of an edge and of its parameters, where these are not two."""
-PRIORS = {"EDGE_PRIOR_SE2": 3, "EDGE_PRIOR_SE2_XY": 2, "EDGE_SE3_PRIORXYZ": 3}  # measured values
-IN_SPACE = "EDGE_SE3_PRIORXYZ"
+IN_SPACE, POSE_IN_SPACE = "EDGE_SE3_PRIORXYZ", "EDGE_SE3_PRIOR"
+PRIORS = {"EDGE_PRIOR_SE2": (3, 3), "EDGE_PRIOR_SE2_XY": (2, 2), IN_SPACE: (3, 3), POSE_IN_SPACE: (7, 6)}  # as of edges
 OFFSETS = {"PARAMS_SE3OFFSET": 7, "PARAMS_SE2OFFSET": 3}
 TEXT = ("ODOMETRY", "CONSTRAINT", "CONSTRAINT2", "LANDMARK")  # in any case
 TUTORIAL = {
@@ -140,11 +141,7 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
             except IndefiniteError as error:
                 indefinite.append(error)
         elif tag in PRIORS:
-            d = PRIORS[tag]
-            (key,), values = _fields(path, number, tag, fields, 1, d + d * (d + 1) // 2)
-            information = _symmetric(values[d:], d)
-            _require_definite(path, number, tag, information)
-            graph.priors.append(Edge(tag, (key, key), values[:d], information, number))
+            graph.priors.append(_prior(graph, number, tag, fields))
         elif tag == "FIX":
             graph.fixed.extend(_fields(path, number, tag, fields, len(fields), 0)[0])
         elif tag not in OFFSETS:
@@ -220,7 +217,7 @@ def _check(graph: GraphFile) -> None:
             if what:
                 raise DataError.at(path, f"{edge.tag}: {what}", line=edge.line)
     for prior in graph.priors:
-        where, kind = ("space", POSE3) if prior.tag == IN_SPACE else ("the plane", POSE2)
+        where, kind = ("space", POSE3) if prior.tag in (IN_SPACE, POSE_IN_SPACE) else ("the plane", POSE2)
         if kinds.get((False, prior.ends[0])) != kind:
             raise DataError.at(path, f"prior of {prior.ends[0]}: no pose in {where} has this id", line=prior.line)
     missing = next((key for key in graph.fixed if key not in graph.poses and key not in graph.points), None)
@@ -247,6 +244,24 @@ def _fields(path: Path, line: int, tag: str, fields: list[str], ids: int, count:
             wanted = f"a number of at most {HUGE:g}" if math.isfinite(value) else "a number"
             raise DataError.at(path, f"{tag}: {word[:40]!r} is not {wanted}", line=line)
     return tuple(keys), np.array([float(f) for f in fields[ids:]])
+
+
+def _prior(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
+    """A measured pose or position; of a pose in space whose rotation has no information, the position in the world."""
+    measured, d = PRIORS[tag]
+    count = measured + d * (d + 1) // 2
+    sensor = tag == POSE_IN_SPACE and len(fields) != 1 + count
+    keys, values = _fields(graph.path, line, tag, fields, 1 + sensor, count)
+    key, offset = keys[0], keys[1] if sensor else -1
+    if sensor and offset not in graph.offsets:
+        what = f"{tag}: no PARAMS_SE3OFFSET {offset}, the sensor's place on the robot"
+        raise DataError.at(graph.path, what, line=line)
+    z, information = _pose(graph.path, line, tag, values[:measured]), _symmetric(values[measured:], d)
+    if d == 6 and not information[3:].any() and not (sensor and graph.offsets[offset][:3].any()):
+        R = Rotation.from_quat(z[3:]).as_matrix()
+        tag, z, information, offset = IN_SPACE, z[:3], R @ information[:3, :3] @ R.T, -1
+    _require_definite(graph.path, line, tag, information)
+    return Edge(tag, (key, key), z, information, line, offset)
 
 
 def _edge(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:

@@ -365,6 +365,12 @@ def test_names_of_planar_covariances_and_split_stamps_are_understood(scored):
     values, _, _ = scored(commas(rows, names), tum(CURVE))
     assert values["nees_position"] == pytest.approx(1.0)
     assert values["nees_heading"] == pytest.approx(1.0)
+    names = "t,ekf_x,ekf_y,ekf_yaw,ekf_std_x [cm],ekf_sigma_y,ekf_std_yaw_deg"
+    rows = [(k, x + 0.1, y, 0.2, 10.0, 0.2, math.degrees(0.2)) for k, (x, y) in enumerate(CURVE)]
+    for header, right in ((names, {"nees_position": 1.0, "nees_heading": 1.0}), (names.replace("ekf_s", "gps_s"), {})):
+        values, _, said = scored(commas(rows, header), tum(CURVE))
+        assert {q: v for q, v in values.items() if q in ("nees_position", "nees_heading")} == pytest.approx(right)
+        assert ("without correlation" in said, "no covariance is read of" in said) == (bool(right), not right)
     rows = [(k // 4, 250_000_000 * (k % 4), x, y, 0.0) for k, (x, y) in enumerate(CURVE)]
     values, _, _ = scored(commas(rows, "sec,nanosec,x,y,yaw"), tum(CURVE, step=0.25))
     assert values["matched"] == len(CURVE)

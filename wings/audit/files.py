@@ -82,14 +82,16 @@ def build(file: GraphFile, robust: Collection[int] = ()) -> tuple[gtsam.Nonlinea
             values.insert(key, MAKE[kind](v))
     _follow(file, values)
     for prior in file.priors:
-        noise: Any = N.Gaussian.Information(prior.information)
-        if prior.tag == IN_SPACE:
+        noise, sensor = _noise(prior), file.offsets.get(prior.parameter)
+        if len(prior.measured) == 7:
+            graph.add(_prior_in_space(prior, gtsam.Pose3() if sensor is None else pose3(sensor)))
+        elif prior.tag == IN_SPACE:
             graph.add(gtsam.PoseTranslationPrior3D(prior.ends[0], prior.measured, noise))
         elif len(prior.measured) == 3:
             graph.add(gtsam.PriorFactorPose2(prior.ends[0], pose2(prior.measured), noise))
         else:
             graph.add(gtsam.PoseTranslationPrior2D(prior.ends[0], prior.measured, noise))
-        names.append("prior" if len(prior.measured) == 3 and prior.tag != IN_SPACE else "position")
+        names.append("prior" if len(prior.measured) in (3, 7) and prior.tag != IN_SPACE else "position")
     if len(file.fixed) > 1 or (file.fixed and file.priors):
         for key in dict.fromkeys(file.fixed):
             place = key if key in file.poses else point_key(key)
@@ -134,17 +136,28 @@ def _fixed(values: gtsam.Values, key: int, kind: str) -> gtsam.NonlinearFactor:
     return gtsam.PriorFactorVector(key, point, N.Constrained.All(len(point)))
 
 
-def _factor(file: GraphFile, edge: Edge, robust: bool) -> gtsam.NonlinearFactor:
-    (i, j), z = ends(file, edge), edge.measured
-    spatial = len(z) == 7
-    information = edge.information[np.ix_(LAST_FIRST, LAST_FIRST)] if spatial else edge.information
-    model: Any = N.Gaussian.Information(information)
+def _noise(edge: Edge, carried: Array | None = None) -> Any:
+    """Noise of an edge; `carried`: from gtsam's error to the stated one, rotation first."""
+    information = edge.information[np.ix_(LAST_FIRST, LAST_FIRST)] if len(edge.measured) == 7 else edge.information
+    model: Any = N.Gaussian.Information(information if carried is None else carried.T @ information @ carried)
     if edge.origin is not Origin.ASSUMED and isinstance(model, N.Unit):
         model = N.Isotropic.Sigma(len(information), 1.0, False)
+    return model
+
+
+def _prior_in_space(prior: Edge, sensor: gtsam.Pose3) -> gtsam.NonlinearFactor:
+    """Of a robot, from a measured pose of a sensor on it."""
+    back = sensor.inverse()
+    return gtsam.PriorFactorPose3(prior.ends[0], pose3(prior.measured).compose(back), _noise(prior, back.AdjointMap()))
+
+
+def _factor(file: GraphFile, edge: Edge, robust: bool) -> gtsam.NonlinearFactor:
+    (i, j), z = ends(file, edge), edge.measured
+    model = _noise(edge)
     model = N.Robust.Create(N.mEstimator.Cauchy.Create(CAUCHY), model) if robust else model
     if file.kind(edge) == (POSE2, POSE2):
         return gtsam.BetweenFactorPose2(i, j, pose2(z), model)
-    if spatial:
+    if len(z) == 7:
         return gtsam.BetweenFactorPose3(i, j, pose3(z), model)
     if edge.tag == "BR":
         return gtsam.BearingRangeFactor2D(i, j, gtsam.Rot2(z[0]), z[1], model)

@@ -155,7 +155,7 @@ def _plain(text: Text, k: int, more: bool) -> Array | None:
 
 def is_covariance(name: str) -> bool:
     """Whether a column holds an entry of a covariance."""
-    return name.startswith("c_") or (name[:1] in "cPf" and name[-1:].isdigit())
+    return name.startswith(("c_", "s_")) or (name[:1] in "cPf" and name[-1:].isdigit())
 
 
 def tangent(text: Text) -> tuple[str | None, str | None]:

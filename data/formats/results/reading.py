@@ -53,6 +53,9 @@ ALIAS = (
     | {"µs": "us", "microseconds": "us", "nsec": "ns", "nanoseconds": "ns"}
     | {"degree": "deg", "degrees": "deg", "°": "deg", "radian": "rad", "radians": "rad", "meters": "m", "meter": "m"}
 )
+AXIS, PAIRED = "|".join(("x", "y", "z", *YAW)), "|".join(("x", "y", "t", *YAW))
+SPREAD = "(cov|covariance|var|variance|std|stddev|stdev|sd|sigma)"
+SPREADS = r"(?<![A-Za-z])(?i:cov|var(?!io)|sigma|std)|Cov|Var|Sigma|Std"  # begin a word that may name one
 KNOWN_UNITS = {*DIGITS, *LENGTH, *TURNS}
 GROUPS = {"p": ("x", "y", "z"), "q": ("qx", "qy", "qz", "qw"), "v": ("vx", "vy", "vz")}
 """Names of several columns each, as in `# timestamp(s) q p v bg ba` of OpenVINS' states."""
@@ -73,6 +76,7 @@ class Columns:
     line: int
     in_data: bool
     told: str = ""  # what is inferred, as a flag
+    spread: tuple[str, ...] = ()  # names of columns of planar covariances, variances and sigmas
 
     @property
     def order(self) -> tuple[str, ...]:
@@ -148,6 +152,7 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
     if moved := [name for name in names if name.endswith("_next") or name in ("from_index", "to_index")]:
         what = f"rows are motions from one instant to the next ({moved[0]}), no poses; compose them to poses"
         raise DataError.at(text.path, what, line=line)
+    spread = {role: found.pop(role) for role in [*found] if role.startswith(("c_", "s_"))}
     unclear: dict[str, list[int]] = {}
     for role, some in found.items():
         if both and (role not in ("t", "nanoseconds") or len(some) > 1):
@@ -162,12 +167,21 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
         what = f"{names[some[0]]!r} and {names[some[1]]!r} both name {role}; one of them is needed"
         typed = ",".join(f"{'truth.' * manner.true}{r}={s[0] + 1}" for r, s in unclear.items())
         raise DataError.at(text.path, f"{what}, as in --columns {typed.replace('yaw', 'theta')}", line=line)
+    # a covariance is that of the path whose words it has, or has none beside a single path
+    k = place.get("x", place.get("lat", -1))
+    side = set(words_of(names[k])[0]) & SIDES
+    alone = not any(r == "x" and j != k and true[j] == manner.true for j, (r, _) in enumerate(read))
+    bare = alone and not (both and manner.true)
+    for role, some in spread.items():
+        some = [j for j in some if (own := set(words_of(names[j])[0]) & SIDES) == side or (bare and not own)]
+        place |= dict.fromkeys([role] * (len(some) == 1), *some[:1])
     stated = {role: words_of(names[j])[1] if role in manner.columns else read[j][1] for role, j in place.items()}
     unit = {role: its for role, its in stated.items() if its}
     unread = tuple(name for j, name in enumerate(names) if name and j not in place.values())
     if "nanoseconds" in place and "t" not in place:
         place["t"], unit["t"] = place.pop("nanoseconds"), "ns"
-    return Columns(place, unit, unread, len(names), line, in_data)
+    given = tuple(names[place[role]] for role in spread if role in place)
+    return Columns(place, unit, unread, len(names), line, in_data, spread=given)
 
 
 def topic_of(name: str) -> str:
@@ -214,9 +228,14 @@ def role_of(name: str) -> tuple[str, str]:
         return "t", unit
     if last in ANGLES and around <= TURN | {"euler", "angle"}:
         return ANGLES[last], unit
-    if found := re.fullmatch(r"(?:c|cov)(x|y|t|theta|yaw|heading)(x|y|t|theta|yaw|heading)", "".join(words)):
+    core = "".join(w for w in words if w not in AROUND)
+    if found := re.fullmatch(rf"(?:c|p|cov)({PAIRED})({PAIRED})", core):
         pair = [c if c in "xy" else "t" for c in found.groups()]
-        return f"c_{''.join(sorted(pair, key='xyt'.index))}", ""
+        return f"c_{''.join(sorted(pair, key='xyt'.index))}", unit
+    if found := re.fullmatch(rf"{SPREAD}(?:pos|position)?({AXIS})|({AXIS}){SPREAD}", core):
+        axis, kind = found[2] or found[3], found[1] or found[4]
+        axis = axis if axis in "xyz" else "t"
+        return (f"s_{axis}" if kind.startswith("s") else f"c_{axis}{axis}"), unit
     if found := re.fullmatch(r"(?:c|p|cov)([1-6])([1-6])", "".join(words)):
         return f"c{found[1]}{found[2]}", ""
     if last in EARTH and around <= GNSS | PLACE:
@@ -293,6 +312,8 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     notes: tuple[str, ...] = (f"columns not read: {', '.join(unread)}",) if unread and not ours else ()
     if short := sum(len(fields) < columns.named for fields in body.fields):
         notes += (f"{short} of {len(body.fields)} rows end before the header does: their last columns are blank",)
+    value, said = _variances(value, columns)
+    notes += (said,) * bool(said and not manner.true)
     if dated is not body:
         notes += (f"inferred: stamps are dates, {IN_SECONDS}; --columns t=NAME names others",)
     notes += (f"inferred: --columns {columns.told}",) * bool(columns.told)
@@ -325,6 +346,22 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     return paths.without_headings(found) if absent else found
 
 
+def _variances(value: dict[str, Array], columns: Columns) -> tuple[dict[str, Array], str]:
+    """The values with covariances by columns of variances or sigmas, in m and the unit of headings; and a note."""
+    whole, mixed = set(COVARIANCE) <= {*value}, {"c_xy", "c_xt", "c_yt"} & {*value}
+    if whole or mixed or not {"c_xx", "s_x"} & {*value}:
+        lost = [n for n in (*columns.spread, *columns.unread) if re.search(SPREADS, n)]
+        said = f"no covariance is read of {', '.join(lost[:SHOWN])}: c_xx to c_tt, or sigma_x, sigma_y, are known"
+        return value, said * bool(lost and not whole)
+    made = dict.fromkeys(COVARIANCE, np.zeros(len(value["t"])))
+    for axis, role in zip("xyzt", ("x", "y", "z", "yaw"), strict=True):
+        given = c if (c := f"c_{axis}{axis}") in value else f"s_{axis}"
+        known, usual = (TURNS, columns.unit.get(role, "rad")) if axis == "t" else (LENGTH, columns.unit.get(role, "m"))
+        scale = known.get(columns.unit.get(given, usual).rstrip("^²2"), np.nan) / (known[usual] if axis == "t" else 1.0)
+        made[c] = scale**2 * value.get(given, np.nan * value["t"]) ** (1 if given == c else 2)
+    return value | made, f"inferred: its covariances are of {', '.join(columns.spread)}, without correlation"
+
+
 def _in_seconds(body: Text, column: int) -> Text:
     """The text with seconds in a column of dates; the same without dates."""
     if not any(is_date(fields[column]) for fields in body.fields if column < len(fields)):
@@ -343,7 +380,7 @@ def _require_ours(text: Text, columns: Columns, manner: Manner) -> None:
     if manner.frame not in (None, WORLD):
         raise DataError.at(text.path, f"its covariances are {WORLD} ones; remove --cov-frame {manner.frame}")
     there = [c for c in COVARIANCE if c in columns.place]
-    if there and len(there) < len(COVARIANCE):
+    if {"c_xy", "c_xt", "c_yt"} & {*there} and len(there) < len(COVARIANCE):
         lacking = next(c for c in COVARIANCE if c not in there)
         what = f"no such column, but {there[0]}; all six or none are needed"
         raise DataError.at(text.path, what, line=1, column=lacking)
@@ -389,6 +426,12 @@ def _spatial(
         C = symmetric(np.column_stack([value[c] for c in TRIANGLE]), lower=True)
     elif all(f"{c[0]}{c[2]}{c[1]}" in value for c in TRIANGLE):
         C = symmetric(np.column_stack([value[f"{c[0]}{c[2]}{c[1]}"] for c in TRIANGLE]), lower=True)
+    elif set(COVARIANCE) <= {*value}:
+        C, frame, stated = np.full((len(pose), 6, 6), np.nan), WORLD, Stated(order=True)
+        turn = TURNS[columns.unit.get("yaw") or manner.angles or "rad"] if "qw" not in value else 1.0
+        entries = np.column_stack([value[c] * turn ** c.count("t") for c in COVARIANCE])
+        C[:, [[0], [1], [5]], [0, 1, 5]] = symmetric(entries)
+        C[:, 2, 2] = value.get("c_zz", C[:, 2, 2])
     kind = WELL_KNOWN.get(columns.order[:8], f"columns {', '.join(columns.order[:8])}")
     time, clock = lines.times_of(body, value["t"], manner, unit=unit, column=columns.place.get("t", UNSTAMPED))
     path = lines.path_of(body, kind, (time, clock), pose, C, manner, frame=frame, stated=stated, notes=notes)

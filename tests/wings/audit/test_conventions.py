@@ -10,7 +10,7 @@ from data.formats.graph_file import read_graph_file
 from tests.quick import slow
 from tests.wings.audit.test_audit import grid
 from wings.audit import page
-from wings.audit.files import chordal_start
+from wings.audit.files import build, chordal_start
 
 ROTATION, TRANSLATION = 0.02, 0.1
 
@@ -100,3 +100,23 @@ def test_a_graph_of_one_edge_has_nothing_to_test(tmp_path):
     (tmp_path / "g.g2o").write_text(poses + "EDGE_SE2_ROBUST 0 1 Cauchy 1.0 3 0 0 20 0 0 10 0 10\n")
     report = page.opened(str(tmp_path / "g.g2o"), None, draws=0).report
     assert ("EDGE_SE2_ROBUST" in str(report.unread), report.kinds["redundancy"].tolist()) == (True, [0.0])
+
+
+def test_a_measured_pose_in_space_is_a_prior_of_the_robot_beside_a_vertex_that_is_held(tmp_path):
+    """A sensor's pose beside its place on the robot, as g2o writes it; without rotation's information a position."""
+    rng, upper = np.random.default_rng(0), np.triu_indices(6)
+    root = rng.normal(0, 1, (6, 6)) + 4 * np.eye(6)
+    full, level, unit = (" ".join(map(str, a[upper])) for a in (root @ root.T, np.diag([4, 1, 9, 0, 0, 0]), np.eye(6)))
+    lines = [f"VERTEX_SE3:QUAT {k} {k} 0 0 0 0 0 1" for k in range(3)] + ["FIX 0"]
+    lines += [f"EDGE_SE3:QUAT {k} {k + 1} 1 0.1 0 0 0 0 1 {unit}" for k in range(2)]
+    lines += ["PARAMS_SE3OFFSET 7 0.5 -0.2 0.3 0.6 0 0 0.8", f"EDGE_SE3_PRIOR 1 7 1.5 0 0.2 0 0 0 1 {full}"]
+    lines += [f"EDGE_SE3_PRIOR 2 2 0.5 0 0 0 {0.5**0.5} {0.5**0.5} {level}"]
+    (tmp_path / "g.g2o").write_text("\n".join(lines) + "\n")
+    graph, values, names = build(file := read_graph_file(tmp_path / "g.g2o"))
+    assert names[2:] == ["prior", "position", "fixed"]
+    z, sensor = gtsam.Pose3(gtsam.Rot3(), [1.5, 0, 0.2]), gtsam.Pose3(gtsam.Rot3(0.8, 0.6, 0, 0), [0.5, -0.2, 0.3])
+    robot = z.compose(sensor.inverse()).retract(rng.normal(0, 0.01, 6))
+    values.update(1, robot)
+    error = gtsam.Pose3.Logmap(z.between(robot.compose(sensor)))[[3, 4, 5, 0, 1, 2]]
+    assert 2 * graph.at(2).error(values) == pytest.approx(error @ root @ root.T @ error, rel=1e-6)
+    assert np.diag(file.priors[1].information) == pytest.approx([1.0, 4.0, 9.0])
