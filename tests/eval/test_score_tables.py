@@ -8,7 +8,7 @@ import pytest
 from scipy.io import savemat
 
 from data.formats.results.path import Manner
-from data.formats.results.reading import read_path
+from data.formats.results.reading import only_reading, read_path
 from eval.score import main as score
 
 T = 0.2 * np.arange(60)
@@ -50,6 +50,16 @@ def test_columns_without_names_are_told_by_their_numbers(scored, names, separato
     assert values["rmse_position_m"] == pytest.approx(0.1)
     assert values["matched"] == 60
     assert ("rmse_heading_deg" in values) == ("theta" in names)
+
+
+def test_uneven_stamps_and_positions_of_millimetres_leave_one_reading_and_straight_ways_none():
+    rng, n = np.random.default_rng(0), 1500
+    t = np.cumsum(rng.uniform(0.005, 0.025, n))
+    turn, noise = 0.5 * np.sin(0.5 * t), rng.normal(0, 0.003, (2, n))
+    x, y = noise + np.cumsum(0.1 * np.diff(t, prepend=0.0) * np.array([np.cos(turn), np.sin(turn)]), axis=1)
+    ways = ((t, x, y, turn), (t, 0.1 * t, 0.0 * t, 0.2 + noise[0]), (t, 0.1 * t, 0.001 * np.sin(t)))
+    for columns, right in zip(ways, ({"t": "1", "x": "2", "y": "3", "yaw": "4"}, {}, {}), strict=True):
+        assert only_reading([[f"{v:.6f}" for v in row] for row in zip(*columns, strict=True)]) == right
 
 
 def test_columns_that_may_be_anything_are_to_be_named(scored):

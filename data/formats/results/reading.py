@@ -579,6 +579,8 @@ def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:
 GUESSED = {2: (("x", "y"),), 3: (("x", "y", "yaw"), ("t", "x", "y")), 4: (("t", "x", "y", "yaw"),)}
 """What columns without names may be, by their number."""
 ALONG = 0.7  # Least mean cosine between headings and the direction of motion
+HALF, ROUNDED = 0.5, 1e-9  # Least share of a path's turns that headings follow; share of its length that is rounding
+BURSTS, SPANS, CHORDS = 5.0, (1, 4, 16, 64), 20  # Longest usual step over the median; rows of a chord; least number
 EVEN = 0.1  # Largest relative difference of the intervals of most stamps
 FEW = 0.01  # Least extent of a path over its distance from the origin; others may be degrees of latitude and longitude
 
@@ -595,16 +597,26 @@ def only_reading(fields: Sequence[Sequence[str]]) -> dict[str, str]:
     earth = _on_earth(fields, rows)
     for roles in GUESSED.get(width, ()) if not earth else ():
         column = dict(zip(roles, rows.T, strict=True))
-        step, dt = np.diff([column["x"], column["y"]]), np.diff(column.get("t", rows[:, 0]))
-        way, angle = np.hypot(*step), column.get("yaw", rows[:, 0])[1:]
-        off = [float(np.sum(way * np.cos(unit * angle - np.arctan2(step[1], step[0])))) for unit in TURNS.values()]
-        even = len(dt) > 0 and (dt > 0.0).all() and np.quantile(dt, 0.9) < (1.0 + EVEN) * np.quantile(dt, 0.1)
-        place = np.abs([column["x"], column["y"]])
-        near = np.ptp(place, axis=1).max() > FEW * place.max()
-        if near and ("yaw" not in roles or max(off) > ALONG * way.sum()) and ("t" not in roles or even):
+        dt, place = np.diff(column.get("t", rows[:, 0])), np.array([column["x"], column["y"]])
+        ascend = len(dt) > 0 and bool((dt > 0.0).all())
+        even = ascend and np.quantile(dt, 0.9) < (1.0 + EVEN) * np.quantile(dt, 0.1)
+        steady = ascend and len(roles) == 4 and np.quantile(dt, 0.9) < BURSTS * np.median(dt)
+        chords = [span for span in SPANS if span == 1 or (steady and CHORDS * span < len(rows))]  # of noisy positions
+        follows = "yaw" not in roles or any(_follows(place, column["yaw"], span, ascend) for span in chords)
+        near = np.ptp(place, axis=1).max() > FEW * np.abs(place).max()
+        if near and follows and ("t" not in roles or even or steady):
             fine.append(roles)
     fine = fine or [roles for roles in (earth, _turned(rows)) if roles]
     return {role: str(k + 1) for k, role in enumerate(fine[0])} if len(fine) == 1 else {}
+
+
+def _follows(place: Array, heading: Array, span: int, turns: bool) -> bool:
+    """Whether headings (n,) follow chords of a path (2, n); its `turns`, too, as a constant direction does not."""
+    step, angle = place[:, span:] - place[:, :-span], heading[(span + 1) // 2 : len(heading) - span // 2]
+    way, straight = np.hypot(*step), float(np.hypot(*np.sum(step, axis=1)))
+    off = max(float(np.sum(way * np.cos(unit * angle - np.arctan2(step[1], step[0])))) for unit in TURNS.values())
+    whole = float(way.sum())
+    return off > ALONG * whole and (not turns or off - straight > HALF * (whole - straight) - ROUNDED * whole)
 
 
 DIGITS_OF_DEGREES, EXTENT = 6, (20.0, 2e5)
