@@ -12,6 +12,7 @@ import numpy as np
 
 from data.columns.named import LENGTH
 from data.dates import ISO
+from data.earth import east_north_up
 from data.errors import DataError, UsageError, did_you_mean
 from data.formats.results.bags import file_and_topic, is_bag
 from data.formats.results.path import (
@@ -299,18 +300,35 @@ class Asked:
 
     def settled(self, log: Log) -> tuple[Log, Asked]:
         """The log with the given truth, if any, and the results with their truth."""
-        truth = truth_of(log, self.file)
-        if self.file is None:
-            return log, replace(self, truth=truth)
-        file = self.file
+        file = None if self.file is None else about_datum(self.file, log)
+        results = [replace(r, paths={k: about_datum(p, log) for k, p in r.paths.items()}) for r in self.results]
+        truth = truth_of(log, file)
+        lost = [p.file for r in results for p in r.paths.values() if p.datum and "datum" not in log.source]
+        if lost and file is None and truth is not None and self.reading.align == NONE:
+            what = f"latitudes beside log {log.name!r}, which has no datum; --align se2 fits them to its truth"
+            raise DataError.at(lost[0], what)
+        if file is None:
+            return log, replace(self, truth=truth, results=tuple(results))
         if file.clock.by == ROWS and len(file) == len(log.recorded):  # a pose for each frame
             file = restamped(file, log.recorded.time, Clock("s", STATED))
             truth = TruePath.of(file)
         changed, found = with_truth(log, file, self.reading.truth_gap)
         if not found.matched:
             own = GivenPath(f"log {log.name!r}", "", log.recorded.time, log.recorded.increments.mean)
-            raise DataError(unmatched(own, TruePath(self.file.time, self.file.pose)))
-        return changed, replace(self, truth=truth)
+            raise DataError(unmatched(own, TruePath(file.time, file.pose)))
+        return changed, replace(self, truth=truth, results=tuple(results))
+
+
+def about_datum(path: GivenPath, log: Log) -> GivenPath:
+    """A path of latitudes about the datum of a log that states one; any other is unchanged."""
+    datum = log.source.get("datum")
+    if not path.datum or not isinstance(datum, list):
+        return path
+    here, origin = (np.array([*place[:2], 0.0]) for place in (path.datum, datum))
+    shift = east_north_up(here[None], origin)[0] * [1.0, 1.0, 0.0]
+    space = path.space and replace(path.space, position=path.space.position + shift)
+    notes = tuple(re.sub(r"(and longitude) \S+ \S+ deg$", rf"\1 {datum[0]}, {datum[1]} deg", n) for n in path.notes)
+    return replace(path, pose=path.pose + shift, space=space, datum=(*datum,), notes=notes)
 
 
 NOTHING = Asked()

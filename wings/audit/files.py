@@ -82,9 +82,11 @@ def build(file: GraphFile, robust: Collection[int] = ()) -> tuple[gtsam.Nonlinea
             values.insert(key, MAKE[kind](v))
     _follow(file, values)
     for prior in file.priors:
-        noise, sensor = _noise(prior), file.offsets.get(prior.parameter)
+        noise = _noise(prior)
         if len(prior.measured) == 7:
-            graph.add(_prior_in_space(prior, gtsam.Pose3() if sensor is None else pose3(sensor)))
+            back = pose3(file.offsets.get(prior.parameter, np.eye(7)[6])).inverse()  # of a sensor to the robot
+            measured = pose3(prior.measured).compose(back)
+            graph.add(gtsam.PriorFactorPose3(prior.ends[0], measured, _noise(prior, back.AdjointMap())))
         elif prior.tag == IN_SPACE:
             graph.add(gtsam.PoseTranslationPrior3D(prior.ends[0], prior.measured, noise))
         elif len(prior.measured) == 3:
@@ -143,12 +145,6 @@ def _noise(edge: Edge, carried: Array | None = None) -> Any:
     if edge.origin is not Origin.ASSUMED and isinstance(model, N.Unit):
         model = N.Isotropic.Sigma(len(information), 1.0, False)
     return model
-
-
-def _prior_in_space(prior: Edge, sensor: gtsam.Pose3) -> gtsam.NonlinearFactor:
-    """Of a robot, from a measured pose of a sensor on it."""
-    back = sensor.inverse()
-    return gtsam.PriorFactorPose3(prior.ends[0], pose3(prior.measured).compose(back), _noise(prior, back.AdjointMap()))
 
 
 def _factor(file: GraphFile, edge: Edge, robust: bool) -> gtsam.NonlinearFactor:

@@ -1,12 +1,17 @@
 """`run_all --result`: a run of ours handed back has its numbers; a folder that is handed on tells no places."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from data.convert.__main__ import main as convert
+from data.errors import DataError
 from data.formats.open_log import write_folder
 from data.worlds.registry import named_log
+from eval.plan.flags.table import Results
+from eval.plan.results import asked_results
 from eval.run_all import main
 
 HOW = ("nis", "nis_lower", "nis_upper", "nis_expected", "innovation_lag1", "innovation_lag1_se", "iterations")
@@ -97,6 +102,20 @@ def test_every_log_has_its_truth_as_tum_and_a_truth_may_be_alone(first, tmp_path
 ])  # fmt: skip
 def test_what_makes_no_sense_is_one_line_and_status_2(command, wanted, tmp_path, refused):
     assert wanted in refused(main, [*command, "--out", str(tmp_path / "out")])
+
+
+def test_latitudes_of_a_result_are_about_the_datum_of_the_log_and_else_refused(tmp_path):
+    log, k = named_log("arena:0"), slice(None, None, 5)
+    rows = np.column_stack(
+        [log.recorded.time[k], 49.0 + log.truth.pose[k, 1] / 111.2e3, 8.0 + log.truth.pose[k, 0] / 73.1e3]
+    )
+    text = "\n".join(["t,lat,lon", *(",".join(map(repr, row)) for row in rows.tolist())])
+    (tmp_path / "gps.csv").write_text(text)
+    asked = asked_results(replace(Results(), result=(f"gps={tmp_path}/gps.csv",)), ["arena:0"], [])
+    _, there = asked.settled(replace(log, source={"datum": [49.0, 8.0]}))
+    assert there.results[0].paths["final"].pose[:, :2] == pytest.approx(log.truth.pose[k, :2], abs=0.05)
+    with pytest.raises(DataError, match="no datum; --align se2"):
+        asked.settled(log)
 
 
 def test_decisions_about_another_log_are_refused(first, tmp_path, refused):
