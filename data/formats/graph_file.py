@@ -254,8 +254,7 @@ def _prior(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
     keys, values = _fields(graph.path, line, tag, fields, 1 + sensor, count)
     key, offset = keys[0], keys[1] if sensor else -1
     if sensor and offset not in graph.offsets:
-        what = f"{tag}: no PARAMS_SE3OFFSET {offset}, the sensor's place on the robot"
-        raise DataError.at(graph.path, what, line=line)
+        raise DataError.at(graph.path, f"{tag}: no PARAMS_SE3OFFSET {offset}, the sensor's place on it", line=line)
     z, information = _pose(graph.path, line, tag, values[:measured]), _symmetric(values[measured:], d)
     if d == 6 and not information[3:].any() and not (sensor and graph.offsets[offset][:3].any()):
         R = Rotation.from_quat(z[3:]).as_matrix()

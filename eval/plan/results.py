@@ -154,14 +154,9 @@ def _of(
     flag: str, values: Sequence[str], name: str, names: Sequence[str], known: Sequence[str] = (), *, alone: bool = False
 ) -> str | None:
     """A flag's value for a name of `known`; `alone`: one without a name is for the only result, never the truth."""
-    own, common = [], []
-    for text in values:
-        who, equals, value = text.partition("=")
-        if equals and who in (*names, TRUTH):
-            if who == name:
-                own.append(value)
-        else:
-            common.append(text)
+    parts = [(text, *text.partition("=")) for text in values]
+    own = [value for _, who, equals, value in parts if equals and who == name]
+    common = [text for text, who, equals, _ in parts if not equals or who not in (*names, TRUTH)]
     for twice in (own, common):
         if len(twice) > 1:
             raise UsageError(f"{flag} {twice[1]}: given twice for one result; write NAME=... for each")
@@ -305,8 +300,7 @@ class Asked:
         truth = truth_of(log, file)
         lost = [p.file for r in results for p in r.paths.values() if p.datum and "datum" not in log.source]
         if lost and file is None and truth is not None and self.reading.align == NONE:
-            what = f"latitudes beside log {log.name!r}, which has no datum; --align se2 fits them to its truth"
-            raise DataError.at(lost[0], what)
+            raise DataError.at(lost[0], f"latitudes; log {log.name!r} has no datum; --align se2 fits them to its truth")
         if file is None:
             return log, replace(self, truth=truth, results=tuple(results))
         if file.clock.by == ROWS and len(file) == len(log.recorded):  # a pose for each frame

@@ -82,17 +82,17 @@ def build(file: GraphFile, robust: Collection[int] = ()) -> tuple[gtsam.Nonlinea
             values.insert(key, MAKE[kind](v))
     _follow(file, values)
     for prior in file.priors:
-        noise = _noise(prior)
+        key, noise = prior.ends[0], _noise(prior)
         if len(prior.measured) == 7:
             back = pose3(file.offsets.get(prior.parameter, np.eye(7)[6])).inverse()  # of a sensor to the robot
-            measured = pose3(prior.measured).compose(back)
-            graph.add(gtsam.PriorFactorPose3(prior.ends[0], measured, _noise(prior, back.AdjointMap())))
+            pose = pose3(prior.measured).compose(back)
+            graph.add(gtsam.PriorFactorPose3(key, pose, _noise(prior, back.AdjointMap())))
         elif prior.tag == IN_SPACE:
-            graph.add(gtsam.PoseTranslationPrior3D(prior.ends[0], prior.measured, noise))
+            graph.add(gtsam.PoseTranslationPrior3D(key, prior.measured, noise))
         elif len(prior.measured) == 3:
-            graph.add(gtsam.PriorFactorPose2(prior.ends[0], pose2(prior.measured), noise))
+            graph.add(gtsam.PriorFactorPose2(key, pose2(prior.measured), noise))
         else:
-            graph.add(gtsam.PoseTranslationPrior2D(prior.ends[0], prior.measured, noise))
+            graph.add(gtsam.PoseTranslationPrior2D(key, prior.measured, noise))
         names.append("prior" if len(prior.measured) in (3, 7) and prior.tag != IN_SPACE else "position")
     if len(file.fixed) > 1 or (file.fixed and file.priors):
         for key in dict.fromkeys(file.fixed):

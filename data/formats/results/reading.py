@@ -28,7 +28,6 @@ from data.se2 import Array, wrap_angle
 from data.terminal import counted
 
 # Headers of trajectories that name their columns: in the first line, or in a comment above the data.
-#
 # A header is obeyed: order of position and quaternion, units in brackets or at the end of a name, covariances. What it
 # names and is not read is stated; a header without stamp, position or orientation is refused.
 
@@ -94,8 +93,8 @@ def header_names(text: Text, manner: Manner) -> Columns | None:
     width, separators = len(first), (",", ";") if text.commas else (None, ",")
     for line, comment in reversed([c for c in text.comments if c[0] < text.line[0] and not c[1].startswith("#%")]):
         for separator in separators:
-            names = lines.split(comment.lstrip("#% "), separator)
-            names = _glued(names) if separator is None else names
+            bare = comment.lstrip("#% ")  # `tx [m]` is one name
+            names = lines.split(bare if separator else re.sub(r"\s+(?=[\[(])", "", bare), separator)
             if len(names) < 3 or any(set(n) <= {"."} for n in names):
                 continue
             if {"p", "q"} <= set(names):  # groups of both position and orientation
@@ -112,17 +111,6 @@ def header_names(text: Text, manner: Manner) -> Columns | None:
                 return found
     numbered = tuple(str(k + 1) for k in range(width))
     return _columns(text, numbered, text.line[0], manner, in_data=False) if manner.columns else None
-
-
-def _glued(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names with the units behind them: `tx [m]` is one name."""
-    made: list[str] = []
-    for name in names:
-        if made and re.fullmatch(r"[\[(].*[\])]", name):
-            made[-1] += name
-        else:
-            made.append(name)
-    return tuple(made)
 
 
 def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, in_data: bool) -> Columns:
@@ -167,21 +155,18 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
         what = f"{names[some[0]]!r} and {names[some[1]]!r} both name {role}; one of them is needed"
         typed = ",".join(f"{'truth.' * manner.true}{r}={s[0] + 1}" for r, s in unclear.items())
         raise DataError.at(text.path, f"{what}, as in --columns {typed.replace('yaw', 'theta')}", line=line)
-    # a covariance is that of the path whose words it has, or has none beside a single path
-    k = place.get("x", place.get("lat", -1))
-    side = set(words_of(names[k])[0]) & SIDES
-    alone = not any(r == "x" and j != k and true[j] == manner.true for j, (r, _) in enumerate(read))
-    bare = alone and not (both and manner.true)
-    for role, some in spread.items():
-        some = [j for j in some if (own := set(words_of(names[j])[0]) & SIDES) == side or (bare and not own)]
+    side, k = [set(words_of(name)[0]) & SIDES for name in names], place.get("x", place.get("lat", -1))
+    others = any(r == "x" and j != k and true[j] == manner.true for j, (r, _) in enumerate(read))
+    for role, some in spread.items():  # a covariance has the words of its path, or none beside a single one
+        some = [j for j in some if side[j] == side[k] or not (side[j] or others or (both and manner.true))]
         place |= dict.fromkeys([role] * (len(some) == 1), *some[:1])
     stated = {role: words_of(names[j])[1] if role in manner.columns else read[j][1] for role, j in place.items()}
     unit = {role: its for role, its in stated.items() if its}
     unread = tuple(name for j, name in enumerate(names) if name and j not in place.values())
     if "nanoseconds" in place and "t" not in place:
         place["t"], unit["t"] = place.pop("nanoseconds"), "ns"
-    given = tuple(names[place[role]] for role in spread if role in place)
-    return Columns(place, unit, unread, len(names), line, in_data, spread=given)
+    covariances = (*(names[place[role]] for role in spread if role in place),)
+    return Columns(place, unit, unread, len(names), line, in_data, "", covariances)
 
 
 def topic_of(name: str) -> str:
@@ -233,9 +218,8 @@ def role_of(name: str) -> tuple[str, str]:
         pair = [c if c in "xy" else "t" for c in found.groups()]
         return f"c_{''.join(sorted(pair, key='xyt'.index))}", unit
     if found := re.fullmatch(rf"{SPREAD}(?:pos|position)?({AXIS})|({AXIS}){SPREAD}", core):
-        axis, kind = found[2] or found[3], found[1] or found[4]
-        axis = axis if axis in "xyz" else "t"
-        return (f"s_{axis}" if kind.startswith("s") else f"c_{axis}{axis}"), unit
+        axis = (found[2] or found[3]) if (found[2] or found[3]) in "xyz" else "t"
+        return (f"s_{axis}" if (found[1] or found[4])[0] == "s" else f"c_{axis}{axis}"), unit
     if found := re.fullmatch(r"(?:c|p|cov)([1-6])([1-6])", "".join(words)):
         return f"c{found[1]}{found[2]}", ""
     if last in EARTH and around <= GNSS | PLACE:
@@ -553,8 +537,7 @@ def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:
         return lines.read_square
     first = text.fields[0]
     columns = header_names(text, manner)
-    if columns is not None:
-        # columns of TUM in their order are of the reader of that format
+    if columns is not None:  # columns of TUM in their order are of the reader of that format
         plain = columns.order == POSE and columns.named == len(POSE) and not text.commas
         if not plain or len(first) not in (8, 29, 44):
             return partial(read_named, columns=columns)
@@ -599,12 +582,12 @@ def only_reading(fields: Sequence[Sequence[str]]) -> dict[str, str]:
         column = dict(zip(roles, rows.T, strict=True))
         dt, place = np.diff(column.get("t", rows[:, 0])), np.array([column["x"], column["y"]])
         ascend = len(dt) > 0 and bool((dt > 0.0).all())
-        even = ascend and np.quantile(dt, 0.9) < (1.0 + EVEN) * np.quantile(dt, 0.1)
-        steady = ascend and len(roles) == 4 and np.quantile(dt, 0.9) < BURSTS * np.median(dt)
-        chords = [span for span in SPANS if span == 1 or (steady and CHORDS * span < len(rows))]  # of noisy positions
+        most, usual = (BURSTS, 0.5) if len(roles) == 4 else (1.0 + EVEN, 0.1)
+        steady = ascend and np.quantile(dt, 0.9) < most * np.quantile(dt, usual)
+        chords = [span for span in SPANS if span == 1 or (len(roles) == 4 and CHORDS * span < len(rows))]
         follows = "yaw" not in roles or any(_follows(place, column["yaw"], span, ascend) for span in chords)
         near = np.ptp(place, axis=1).max() > FEW * np.abs(place).max()
-        if near and follows and ("t" not in roles or even or steady):
+        if near and follows and ("t" not in roles or steady):
             fine.append(roles)
     fine = fine or [roles for roles in (earth, _turned(rows)) if roles]
     return {role: str(k + 1) for k, role in enumerate(fine[0])} if len(fine) == 1 else {}

@@ -105,15 +105,13 @@ def test_what_makes_no_sense_is_one_line_and_status_2(command, wanted, tmp_path,
 
 
 def test_latitudes_of_a_result_are_about_the_datum_of_the_log_and_else_refused(tmp_path):
-    log, k = named_log("arena:0"), slice(None, None, 5)
-    rows = np.column_stack(
-        [log.recorded.time[k], 49.0 + log.truth.pose[k, 1] / 111.2e3, 8.0 + log.truth.pose[k, 0] / 73.1e3]
-    )
-    text = "\n".join(["t,lat,lon", *(",".join(map(repr, row)) for row in rows.tolist())])
-    (tmp_path / "gps.csv").write_text(text)
+    log = named_log("arena:0")
+    t, (x, y, _) = log.recorded.time[::5], log.truth.pose[::5].T
+    table = np.column_stack([t, 49.0 + y / 111.2e3, 8.0 + x / 73.1e3])
+    np.savetxt(tmp_path / "gps.csv", table, fmt="%.12f", delimiter=",", header="t,lat,lon", comments="")
     asked = asked_results(replace(Results(), result=(f"gps={tmp_path}/gps.csv",)), ["arena:0"], [])
     _, there = asked.settled(replace(log, source={"datum": [49.0, 8.0]}))
-    assert there.results[0].paths["final"].pose[:, :2] == pytest.approx(log.truth.pose[k, :2], abs=0.05)
+    assert there.results[0].paths["final"].pose[:, :2] == pytest.approx(np.stack([x, y], 1), abs=0.05)
     with pytest.raises(DataError, match="no datum; --align se2"):
         asked.settled(log)
 
