@@ -364,7 +364,8 @@ def _require_ours(text: Text, columns: Columns, manner: Manner) -> None:
     if manner.frame not in (None, WORLD):
         raise DataError.at(text.path, f"its covariances are {WORLD} ones; remove --cov-frame {manner.frame}")
     there = [c for c in COVARIANCE if c in columns.place]
-    if {"c_xy", "c_xt", "c_yt"} & {*there} and len(there) < len(COVARIANCE):
+    alone = {"c_xx", "c_yy"} <= {*there} <= {"c_xx", "c_yy", "c_tt"}
+    if there and len(there) < len(COVARIANCE) and not alone:
         lacking = next(c for c in COVARIANCE if c not in there)
         what = f"no such column, but {there[0]}; all six or none are needed"
         raise DataError.at(text.path, what, line=1, column=lacking)
