@@ -1,4 +1,5 @@
-"""A CARMEN log (`.log` or `.clf`, also as `.gz` or `.bz2`) as a laser log: odometry and range scans, no landmarks.
+"""A CARMEN log (`.log` or `.clf`, also as `.gz` or `.bz2`) as a laser log: odometry and range scans, no landmarks; or
+lines O and L of a course (`data.formats.recordings.tagged`).
 
 Every ODOM line is a frame; without any, every scan is. A scan belongs to the last ODOM line in line order, since stamps
 of such logs come in bursts and go back. The frame's pose is then the robot's pose that the scan's line states. Where
@@ -29,11 +30,12 @@ import numpy as np
 from data.columns.scans import DENSEST, LARGE, with_returns
 from data.csv_table import Table, number_rows, shown
 from data.digest import file_sha256
-from data.errors import LARGEST, DataError
+from data.errors import LARGEST, DataError, UsageError
 from data.formats.open_log import read_relations
 from data.formats.recordings import mending as as_meant
 from data.formats.recordings.beams import on_one_set
 from data.formats.recordings.laser import laser_inputs, without_odometry
+from data.formats.recordings.tagged import tables_of
 from data.inputs import IntArray, Scanner, Scans
 from data.log import Log
 from data.logs import Reading
@@ -102,10 +104,38 @@ class CarmenLines:
     neff: IntArray  # (K,) lines with a particle filter's effective number of particles: the poses are the filter's
 
 
+LASER, CM = "L", np.array([0.01, 0.01, 1.0])
+"""Kind of a course's scans (`data.formats.recordings.tagged`), and the units of its poses."""
+
+
+def _course(path: Path, content: bytes) -> CarmenLines:
+    """Scans of lines L, each at its own odometry, which is older than that of the line O above."""
+    scan = next(f for line in content.split(b"\n") if (f := line.split())[:1] == [LASER.encode()])
+    ranges = tuple(f"range {i}" for i in range(1, len(scan) - 7))
+    kinds = {LASER: (0, (*POSES[3:], *POSES[:3], *ranges, "stamp")), "O": (0, (*POSES[3:], "stamp"))}
+    (seen, own), _ = tables_of(path, kinds, content)
+    for name in ranges:
+        seen.require(seen.get(name) >= 0.0, name, "{} is not a range; a number from 0 up is needed")
+    laser, robot = (seen.stack(names) * CM for names in (POSES[:3], POSES[3:]))
+    scans = ScanLines(
+        LASER, 0.01 * seen.stack(ranges), laser, robot, seen.get("stamp"), seen.line, beams_of(len(ranges))
+    )
+    none = np.zeros(0, np.int64)
+    return CarmenLines(OdometryLines(np.zeros((0, 3)), np.zeros(0), none), scans, {}, {"O": len(own)}, none)
+
+
+def is_course(content: bytes) -> bool:
+    """Whether it begins with a line O or L of a course's log, and has scans."""
+    first = content[:200].split(b"\n")[0].split()
+    return first[:1] in ([b"O"], [LASER.encode()]) and len(first) >= 5 and re.search(rb"(?m)^L ", content) is not None
+
+
 def parse_carmen(path: Path, content: bytes) -> CarmenLines:
     """Lines of a log, with the scans of the more frequent kind (ROBOTLASER1 if equal); a logger may write both. Raises
     DataError for a log without scans, a line with wrong fields, or beams that change.
     """
+    if is_course(content):
+        return _course(path, content)
     found: dict[str, tuple[list[int], list[list[bytes]]]] = {kind: ([], []) for kind in (ODOM, *SCANS)}
     words = {kind.encode(): found[kind] for kind in found}
     parameters: dict[str, float] = {}
@@ -129,7 +159,7 @@ def parse_carmen(path: Path, content: bytes) -> CarmenLines:
     kind = max(reversed(SCANS), key=lambda k: len(found[k][0]))
     lines, rows = found[kind]
     if not lines:
-        raise DataError.at(path, f"no line of a laser scan; {FLASER} or {ROBOTLASER} lines are needed")
+        raise DataError.at(path, f"no line of a laser scan; {FLASER} or {ROBOTLASER} lines (or L) are needed")
     others.update({k: len(found[k][0]) for k in SCANS if k != kind and found[k][0]})
     scans = _scans(path, kind, lines, rows)
     return CarmenLines(_odometry(path, *found[ODOM]), scans, parameters, dict(others), np.array(neff, np.int64))
@@ -324,7 +354,8 @@ def is_carmen(path: Path) -> bool:
         content, _ = content_of(path)
     except DataError:
         return False
-    return any(content.startswith(f"{kind} ".encode()) or f"\n{kind} ".encode() in content for kind in SCANS)
+    starts = (f"{kind} ".encode() for kind in SCANS)
+    return is_course(content) or any(content.startswith(start) or b"\n" + start in content for start in starts)
 
 
 def relations_beside(path: Path) -> Path | None:
@@ -382,6 +413,8 @@ def log_of(
     file: Path, sha256: str, lines: CarmenLines, relations: Path | None, mending: as_meant.Mending = as_meant.AS_STATED
 ) -> Log:
     """The log of a file's lines."""
+    if lines.scans.kind == LASER and (mending.range_unit, mending.odometry_unit) != ("m", "m"):
+        raise UsageError("--range-unit, --odometry-unit: lines O and L are read in cm as they are; leave the flags out")
     lines = _mended(lines, mending)
     as_meant.require_metres(file, lines.scans.ranges)
     scans, odometry = lines.scans, lines.odometry
@@ -476,7 +509,11 @@ def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice], Orig
     mounting: Array
     offset = lines.parameters.get(OFFSET)
     stated = next((lines.parameters[key] for key in LARGEST_RANGE if lines.parameters.get(key, 0.0) > 0.0), None)
-    if scans.head is None:
+    if scans.kind == LASER:
+        sigma, (mounting, notes) = SIGMA, _mounting(scans, offset)
+        notes.append("Lines L of a course: lengths in cm, beams from -90 deg on, each scan at its own odometry.")
+        origins |= {"range_noise": Origin.ASSUMED}
+    elif scans.head is None:
         sigma, mounting = SIGMA, np.array([offset or 0.0, 0.0, 0.0])
         origins |= {"range_noise": Origin.ASSUMED} | ({"sensor_pose": Origin.ASSUMED} if offset is None else {})
     else:
@@ -520,5 +557,5 @@ def _mounting(scans: ScanLines, offset: float | None) -> tuple[Array, list[str]]
     middle = np.median(on_robot, axis=0)
     if float(np.median(np.abs(on_robot - middle).max(axis=1))) <= MOUNTED:
         return np.where(np.abs(middle) < 1e-5, 0.0, middle), []
-    note = "The distance of the two poses of ROBOTLASER1 lines varies; the laser's place is the parameter's."
+    note = f"The distance of the two poses of {scans.kind} lines varies; the laser's place is the parameter's."
     return np.array([offset or 0.0, 0.0, 0.0]), [note]

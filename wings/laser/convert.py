@@ -22,7 +22,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parsers of all kinds; `parameters` is unused."""
     says = TEXTS["laser"]["says"]
     carmen, rosbag, sub = (add(kind, **said_of(kind)) for kind in KINDS)
-    carmen.add_argument("source", metavar="SOURCE", type=Path, help="log file: ODOM, FLASER or ROBOTLASER1 lines")
+    carmen.add_argument("source", metavar="SOURCE", type=Path, help="lines ODOM, FLASER or ROBOTLASER1, or O, L")
     rosbag.add_argument("source", metavar="BAG", type=Path, help="a .bag file, a folder of ROS 2, or its .mcap or .db3")
     for each in (carmen, rosbag):
         each.add_argument("out", metavar="OUT", type=Path, help="log folder to write")

@@ -10,7 +10,12 @@ The robot mapping courses of Freiburg and Bonn (`sensor_data.dat`, and `world.da
     ODOMETRY r1 t r2            a turn, a drive and a turn since the pose before
     SENSOR id range bearing     a landmark seen after the latest step
 
-Metres, radians, blanks between fields; text after # is a comment. DLR's axes (-y ahead) are kept.
+The course 16-833 of CMU, lengths in cm, poses in the odometry's frame (read with CARMEN's logs, `wings.laser.carmen`):
+
+    O x y theta t                                   pose of the robot
+    L x y theta xl yl thetal r1 .. rn t             the same, pose of the laser, ranges
+
+Other lengths: metres, radians, blanks between fields; text after # is a comment. DLR's axes (-y ahead) are kept.
 """
 
 from collections.abc import Mapping
@@ -52,7 +57,7 @@ def is_course(path: Path) -> bool:
 
 def load_dlr(path: Path, name: str) -> Log:
     """The circle log, its identities as true ids; frames have no stamps. DataError with line and value."""
-    (step, seen), frame = _tables(path, DLR)
+    (step, seen), frame = tables_of(path, DLR)
     P = step.stack(("cXX", "cXY", "cXPhi", "cXY", "cYY", "cYPhi", "cXPhi", "cYPhi", "cPhiPhi")).reshape(-1, 3, 3)
     R = seen.stack(("cXX", "cXY", "cXY", "cYY")).reshape(-1, 2, 2)
     z = seen.stack(("pX", "pY"))
@@ -71,7 +76,7 @@ def load_course(path: Path, name: str, world: Path | None, turns: ArrayLike, see
         turns: standard deviations (3,) of r1 [rad], t [m], r2 [rad] of each step.
         seen_sigma: of range [m] and bearing [rad] (2,).
     """
-    (step, seen), frame = _tables(path, COURSE)
+    (step, seen), frame = tables_of(path, COURSE)
     ahead = seen.get("range") >= 0.0  # a noisy range of a landmark beside the robot may be negative
     left_out = int((~ahead).sum())
     seen, frame = seen.part(ahead), frame[ahead]
@@ -94,7 +99,7 @@ def load_course(path: Path, name: str, world: Path | None, turns: ArrayLike, see
 
 
 def _map(path: Path) -> LandmarkMap:
-    ((table,), _) = _tables(path, WORLD)
+    ((table,), _) = tables_of(path, WORLD)
     number = table.integers("id", 0)
     table.require_distinct("id", number, "{} is the id of two landmarks")
     order = np.argsort(number)
@@ -105,7 +110,7 @@ def _known(ids: IntArray) -> IntArray:
     return np.where(ids >= 0, ids, UNKNOWN_ID)
 
 
-def _tables(path: Path, kinds: Kinds) -> tuple[list[Table], IntArray]:
+def tables_of(path: Path, kinds: Kinds, content: bytes | None = None) -> tuple[list[Table], IntArray]:
     """The rows of each kind, finite, and the number (K,) of rows of the first kind before each of the last. DataError
     for a line of no kind, one of another length, an invalid number, and where the first kind has no row.
     """
@@ -113,13 +118,15 @@ def _tables(path: Path, kinds: Kinds) -> tuple[list[Table], IntArray]:
     lines: dict[str, list[int]] = {word: [] for word in kinds}
     first, last = next(iter(kinds)), [*kinds][-1]
     before = list[int]()
-    for number, line in enumerate(lines_of(bytes_of(path)), start=1):
+    for number, line in enumerate(lines_of(bytes_of(path) if content is None else content), start=1):
         if not (fields := line.split(b"#")[0].split()):
             continue
         word = "" if "" in kinds else fields.pop(0).decode("utf-8", "replace")
         skipped, names = kinds.get(word, (0, ()))
         if word not in kinds or len(fields) != skipped + len(names):
-            needed = " or ".join(f"{word} {' '.join(names)}".strip() for word, (_, names) in kinds.items())
+            each = [(of, " ".join((*names[:8], "...", *names[-1:]) if len(names) > 12 else names))
+                    for of, (_, names) in kinds.items()]  # fmt: skip
+            needed = " or ".join(f"{of} {names}".strip() for of, names in each)
             raise DataError.at(path, f"{shown(line)}; {needed} is needed", line=number)
         before += [len(rows[first])] * (word == last)
         rows[word].append(fields[skipped:])

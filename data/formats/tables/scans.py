@@ -28,9 +28,10 @@ def read_scans(
     at = {name.rpartition(".")[2]: k for k, name in enumerate(file.names)}
     first = columns.find(file, "scans", "range")
     beams = [k for k, name in enumerate(file.names) if RANGE.fullmatch(name)]
+    t = columns.find(file, "scans", "t")
     if first is not None:  # of an array named Z those named Z_1, Z_2, ...
         stem = file.names[first].rstrip("0123456789")
-        beams = [k for k in range(first, len(file.names)) if not stem or file.names[k].startswith(stem)]
+        beams = [k for k in range(first, len(file.names)) if k != t and (not stem or file.names[k].startswith(stem))]
     listed = at.get("ranges") if not beams else None  # in one field
     if not beams and listed is None:  # the only array of many numbers
         wide = [names for _, run in groupby(file.names, key=stem_of) if len(names := list(run)) >= BEAMS]
@@ -49,7 +50,7 @@ def read_scans(
     if scanner is not None and (len(beams) - 1.5) * abs(scanner[1]) > 2.0 * np.pi:
         what = f"{len(beams)} beams, {math.degrees(scanner[1]):.4g} deg apart, pass a full turn"
         raise UsageError(f"--scanner: {what}; are there intensities between the ranges? Leave their columns out")
-    stamped = columns.find(file, "scans", "t") is not None or len(file) != len(odometry.rows)
+    stamped = t is not None or len(file) != len(odometry.rows)
     stamp = columns.stamps(file, "scans", np.ones(len(file), bool)) if stamped else odometry.rows
     found, header = Collected(), SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0), frame_id="laser")
     given = {} if scanner is None else dict(zip(STATED, scanner.tolist(), strict=True))

@@ -55,7 +55,8 @@ def scans(named):
         far = np.full(BEAMS, 5.0)
         far[18] = 6.0 - 0.2 * k  # ahead, each scan 0.2 m further on
         about = [1700000000_000000000 + 500000000 * k, *([-np.pi, np.pi - STEP, STEP, 0.1, 20.0] if named else [])]
-        rows.append(",".join(map(repr, map(float, [*about[1:], *far]))).join([f"{about[0]},", ""]))
+        numbers = ",".join(map(repr, map(float, [*about[1:], *far])))
+        rows.append(f"{about[0]},{numbers}" if named else f"{numbers},{about[0]}")
     names = ["stamp", "angle_min", "angle_max", "angle_increment", "range_min", "range_max"]
     header = [",".join(f"field.header.{n}" for n in (*names, *(f"ranges{b}" for b in range(BEAMS))))]
     return "\n".join([*(header if named else []), *rows]) + "\n"
@@ -69,7 +70,7 @@ ODOMETRY = "%time,field.header.stamp,field.x,field.y,field.theta\n" + "".join(
 @pytest.mark.parametrize("named", [True, False])
 def test_scans_of_a_table_are_those_of_a_laser_log(read, named):
     """As rostopic echo -p writes them, or without names."""
-    words = ("--scanner=-180deg,10deg,20", "--columns=scans.t=1,scans.range=2", "--unit=scans.t=ns") * (not named)
+    words = ("--scanner=-180deg,10deg,20", "--columns=scans.t=37,scans.range=1", "--unit=scans.t=ns") * (not named)
     log, _ = read({"odo.csv": ODOMETRY, "scan.csv": scans(named)}, "--scans", "scan.csv", *words)
     r = log.recorded
     assert r.scans.ranges.shape == (20, BEAMS)
@@ -119,7 +120,7 @@ def test_a_truth_of_places_tells_the_heading_at_the_start(read):
 def test_scans_and_poses_of_arrays(convert, tmp_path, suffix):
     """Without stamps, a scan for each pose; the ranges are the columns of one matrix."""
     pose = np.column_stack([0.2 * np.arange(20), np.zeros((20, 2))])
-    far = np.array([[float(f) for f in row.split(",")[1:]] for row in scans(named=False).splitlines()])
+    far = np.array([[float(f) for f in row.split(",")[:-1]] for row in scans(named=False).splitlines()])
     save = {"mat": savemat, "npz": lambda f, v: np.savez(f, **v)}[suffix]
     save(tmp_path / f"a.{suffix}", {"X": pose, "Z": far, "angles": np.zeros(BEAMS)})
     columns = ("--columns", "x=X_1,y=X_2,theta=X_3,scans.range=Z_1", "--scanner", "-180deg,10deg,20")

@@ -11,6 +11,7 @@ import pytest
 
 from data.errors import DataError, UsageError
 from data.formats.recordings.laser import increments_of, made_increasing
+from data.formats.recordings.mending import Mending
 from data.log import Log
 from data.logs import Reading, open_log
 from data.se2 import Array, compose
@@ -303,3 +304,20 @@ def test_a_file_of_another_name_and_relations_of_another_log_are_usage_errors(tm
         UsageError, match=r"--relations r.csv: arena:0 takes none; name a CARMEN log or an open log folder"
     ):
         open_log("arena:0", Reading(relations=Path("r.csv")))
+
+
+def test_scans_of_a_course_are_in_centimetres_each_at_its_own_odometry(load, tmp_path):
+    text = "O 110 0 0 0.1\nL 100 0 0 125 0 0 200 300 8183 0.2\nO 150 0 0 0.3\nL 140 0 0 165 0 0 2e2 3e2 4e2 0.4\n"
+    log = load(text)
+    recorded, scans = log.recorded, log.recorded.scans
+    assert recorded.prior.mean.tolist() == [1.0, 0.0, 0.0]
+    assert recorded.increments.mean == pytest.approx(np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]]))
+    assert recorded.time == pytest.approx([0.2, 0.4])
+    assert (scans.frame.tolist(), scans.ranges.tolist()) == ([0, 1], [[2.0, 3.0, 0.0], [2.0, 3.0, 4.0]])
+    assert scans.scanner.translation == (-0.25, 0.0)
+    assert "Lines left out: 2 O." in log.notes
+    assert len(open_log(tmp_path / "small.log").recorded) == 2
+    with pytest.raises(UsageError, match="leave the flags out"):
+        load_carmen(tmp_path / "small.log", mending=Mending(range_unit="cm"))
+    with pytest.raises(DataError, match=r"small.log:3: 'O 150 0 0'; L .* range 3 stamp or O odom_x .* stamp is needed"):
+        load(text.replace("O 150 0 0 0.3", "O 150 0 0"))
