@@ -11,13 +11,14 @@ import math
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from functools import partial
 from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 
-from data.columns.named import LENGTH, unused
+from data.columns.named import LENGTH, STAMP, unused
 from data.csv_table import Table, cut_off, ends_early, is_number
 from data.dates import EXAMPLE, ISO, is_date, seconds_of
 from data.earth import on_plane
@@ -78,9 +79,21 @@ class TextTable:
             return f"columns 1 to {len(self.names)}, without names{kinds_of(self.path, self.rows)}"
         if len(topics := [topic for topic in topics_in(self.names) if topic.startswith("/")]) > 1:
             return f"topics {', '.join(topics)}, as in {self.path}:{topics[0]}"
-        runs = [list(run) for _, run in groupby(self.names, key=stem_of)]
-        text = ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 3 else ", ".join(run) for run in runs)
+        said = []
+        for rows, names in (self.series() or {0: self.names}).items():
+            runs = [list(run) for _, run in groupby(names, key=stem_of)]
+            text = ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 3 else ", ".join(run) for run in runs)
+            said.append(f"{text} ({rows} rows)" if rows else text)
+        text = "; ".join(said)
         return "columns " + (text if len(text) <= NAMES_SHOWN else text[:NAMES_SHOWN] + " ...")
+
+    def series(self) -> dict[int, list[str]]:
+        """Names by number of rows, of arrays that begin in the first row and end in different ones; else none."""
+        columns = list(zip(*self.rows, strict=True)) if is_arrays(self.path) and all(self.rows[0]) else []
+        found: dict[int, list[str]] = {}
+        for name, column in zip(self.names, columns, strict=False):
+            found.setdefault(column.index("") if "" in column else len(column), []).append(name)
+        return found if len(found) > 1 else {}
 
     def text(self, column: int, keep: BoolArray) -> list[str]:
         """The fields of a column in the rows to keep (K,)."""
@@ -441,6 +454,23 @@ class Columns:
     def stated(self, role: str, quantities: Collection[str]) -> bool:
         """Whether a column of this role is stated for one of the quantities."""
         return any(f"{role}.{q}" in self.given for q in quantities)
+
+    def take_series(self, file: TextTable, role: str) -> None:
+        """Of arrays of several lengths: the stamps of a role are those as long as what it measures, which is noted."""
+        usual = ("v", "omega", "theta", "dtheta", "left") if role == "odometry" else ("range", "bearing")
+        usual = () if role in ROLES and role not in ("odometry", "observations") else usual
+        names = {self.given.get(q, q) for q in usual if f"{role}.{q}" not in self.given}
+        names |= {name for key, name in self.given.items() if key.startswith(f"{role}.")} | {*stars(file).values()}
+        series = file.series()
+        own = [rows for rows, of in series.items() if any(fnmatchcase(n, name) for n in of for name in names)]
+        stamps = [n for n in series[own[0]] if {*words_of(n)[0]} & {*STAMP}] if len(own) == 1 else []
+        if f"{role}.t" in self.given or len(stamps) != 1 or stamps[0] == self.given.get("t", "t"):
+            return
+        times = np.array([row[file.names.index(stamps[0])] for row in file.rows[: own[0]]], float)
+        if (np.diff(times) >= 0.0).all():
+            self.given = {**self.given, f"{role}.t": stamps[0]}
+            told = f"--columns {role}.t={stamps[0]}, the stamps of its {own[0]} rows"
+            self.notes.append(f"{file.path.name}: inferred: {told}")
 
     def find(self, file: TextTable, role: str, quantity: str) -> int | None:
         """Index of the column of a quantity in a file, or None; DataError if its stated column is missing."""

@@ -336,6 +336,8 @@ def settle(given: Given) -> Wanted:
     read = {path: table_files.read_text(path) for path in dict.fromkeys(files.values())}
     texts = {role: read[path] for role, path in files.items()}
     columns.notes += [f"{path.name}: {table.cut}" for path, table in read.items() if table.cut]
+    for role, table in texts.items():
+        columns.take_series(table, role)
     source = file_and_word(files["odometry"])
     for role in (r for r in (OBSERVATIONS, *several) if r in texts and source[1] and texts[r] is not texts["odometry"]):
         table, named_before = texts[role], any(columns.find(texts[role], role, q) is not None for q in ("t", "frame"))
