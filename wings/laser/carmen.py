@@ -104,8 +104,8 @@ class CarmenLines:
     neff: IntArray  # (K,) lines with a particle filter's effective number of particles: the poses are the filter's
 
 
-LASER, CM = "L", np.array([0.01, 0.01, 1.0])
-"""Kind of a course's scans (`data.formats.recordings.tagged`), and the units of its poses."""
+COURSE = re.compile(rb"(?ms)(L|O(?=.*?^L ))( +[-+.\de]+){4}")  # How its log begins, with a scan in it
+LASER, CM = "L", np.array([0.01, 0.01, 1.0])  # Kind of its scans, and the units of its poses
 
 
 def _course(path: Path, content: bytes) -> CarmenLines:
@@ -116,25 +116,17 @@ def _course(path: Path, content: bytes) -> CarmenLines:
     (seen, own), _ = tables_of(path, kinds, content)
     for name in ranges:
         seen.require(seen.get(name) >= 0.0, name, "{} is not a range; a number from 0 up is needed")
-    laser, robot = (seen.stack(names) * CM for names in (POSES[:3], POSES[3:]))
-    scans = ScanLines(
-        LASER, 0.01 * seen.stack(ranges), laser, robot, seen.get("stamp"), seen.line, beams_of(len(ranges))
-    )
+    r, (laser, robot) = 0.01 * seen.stack(ranges), (seen.stack(names) * CM for names in (POSES[:3], POSES[3:]))
+    scans = ScanLines(LASER, r, laser, robot, seen.get("stamp"), seen.line, beams_of(len(ranges)))
     none = np.zeros(0, np.int64)
     return CarmenLines(OdometryLines(np.zeros((0, 3)), np.zeros(0), none), scans, {}, {"O": len(own)}, none)
-
-
-def is_course(content: bytes) -> bool:
-    """Whether it begins with a line O or L of a course's log, and has scans."""
-    first = content[:200].split(b"\n")[0].split()
-    return first[:1] in ([b"O"], [LASER.encode()]) and len(first) >= 5 and re.search(rb"(?m)^L ", content) is not None
 
 
 def parse_carmen(path: Path, content: bytes) -> CarmenLines:
     """Lines of a log, with the scans of the more frequent kind (ROBOTLASER1 if equal); a logger may write both. Raises
     DataError for a log without scans, a line with wrong fields, or beams that change.
     """
-    if is_course(content):
+    if COURSE.match(content):
         return _course(path, content)
     found: dict[str, tuple[list[int], list[list[bytes]]]] = {kind: ([], []) for kind in (ODOM, *SCANS)}
     words = {kind.encode(): found[kind] for kind in found}
@@ -354,8 +346,7 @@ def is_carmen(path: Path) -> bool:
         content, _ = content_of(path)
     except DataError:
         return False
-    starts = (f"{kind} ".encode() for kind in SCANS)
-    return is_course(content) or any(content.startswith(start) or b"\n" + start in content for start in starts)
+    return (COURSE.match(content) or re.search(rb"(?m)^(FLASER|ROBOTLASER1) ", content)) is not None
 
 
 def relations_beside(path: Path) -> Path | None:

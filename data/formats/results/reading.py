@@ -13,7 +13,7 @@ import scipy
 
 from data.columns.named import COVARIANCE, LENGTH, STAMP, YAW
 from data.csv_table import ends_early, is_number, symmetric
-from data.dates import EXAMPLE, IN_SECONDS, ISO, is_date, seconds_of
+from data.dates import EXAMPLE, IN_SECONDS, ISO, is_date, seconds_of, unit_of
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean
 from data.formats.messages import whole_names
@@ -348,12 +348,13 @@ def _variances(value: dict[str, Array], columns: Columns) -> tuple[dict[str, Arr
 
 def _in_seconds(body: Text, column: int) -> Text:
     """The text with seconds in a column of dates; the same without dates."""
-    if not any(is_date(fields[column]) for fields in body.fields if column < len(fields)):
+    dates = [fields[column] for fields in body.fields if column < len(fields) and is_date(fields[column])]
+    if not dates:
         return body
-    made = []
+    made, unit = [], unit_of(body.path, dates, f"Dates as in {EXAMPLE} are")
     for line, f in zip(body.line, body.fields, strict=True):
         try:
-            made.append((*f[:column], repr(seconds_of(f[column])) if f[column] else "", *f[column + 1 :]))
+            made.append((*f[:column], repr(seconds_of(f[column], unit)) if f[column] else "", *f[column + 1 :]))
         except ValueError:
             raise DataError.at(body.path, f"{f[column]!r} is no date as in {EXAMPLE}", line=line, column="t") from None
     return replace(body, fields=tuple(made))

@@ -9,7 +9,7 @@ import csv
 import itertools
 import math
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import partial
@@ -20,7 +20,7 @@ import numpy as np
 
 from data.columns.named import LENGTH, STAMP, unused
 from data.csv_table import Table, cut_off, ends_early, is_number
-from data.dates import EXAMPLE, ISO, is_date, seconds_of
+from data.dates import DATES, DMY, EXAMPLE, MDY, is_date, seconds_of, unit_of, whole_dates
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import ELEMENT, columns_of, is_arrays
@@ -79,12 +79,12 @@ class TextTable:
             return f"columns 1 to {len(self.names)}, without names{kinds_of(self.path, self.rows)}"
         if len(topics := [topic for topic in topics_in(self.names) if topic.startswith("/")]) > 1:
             return f"topics {', '.join(topics)}, as in {self.path}:{topics[0]}"
-        said = []
-        for rows, names in (self.series() or {0: self.names}).items():
+        text = ""
+        for rows, names in (self.series() or {0: list(self.names)}).items():
             runs = [list(run) for _, run in groupby(names, key=stem_of)]
-            text = ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 3 else ", ".join(run) for run in runs)
-            said.append(f"{text} ({rows} rows)" if rows else text)
-        text = "; ".join(said)
+            text += "; " * bool(text)
+            text += ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 3 else ", ".join(run) for run in runs)
+            text += f" ({rows} rows)" * bool(rows)
         return "columns " + (text if len(text) <= NAMES_SHOWN else text[:NAMES_SHOWN] + " ...")
 
     def series(self) -> dict[int, list[str]]:
@@ -99,15 +99,15 @@ class TextTable:
         """The fields of a column in the rows to keep (K,)."""
         return [row[column] for row, wanted in zip(self.rows, keep.tolist(), strict=True) if wanted]
 
-    def numbers(self, column: int, keep: BoolArray, *, stamps: bool) -> Array:
-        """A column as numbers, NaN where blank; `stamps`: dates in s since 1970. DataError if invalid."""
-        parse: Callable[[str], float] = seconds_of if stamps else partial(_number, comma=self.decimal_comma)
+    def numbers(self, column: int, keep: BoolArray, dates: str = "") -> Array:
+        """A column as numbers, NaN where blank; `dates`: unit of dates, in s since 1970. DataError if invalid."""
+        parse = partial(seconds_of, unit=dates) if dates else partial(_number, comma=self.decimal_comma)
         values = np.full(int(keep.sum()), np.nan)
         for k, text in enumerate(self.text(column, keep)):
             try:
                 values[k] = parse(text) if text else np.nan
             except ValueError:
-                what = f"a date as in {EXAMPLE}" if stamps else "a number"
+                what = f"a date as in {EXAMPLE} (or as --unit t={DMY}, {MDY} say)" if dates else "a number"
                 line, name = int(self.line[keep][k]), self.names[column]
                 raise DataError.at(self.path, f"{text!r} is not {what}", line=line, column=name) from None
         return values
@@ -201,9 +201,8 @@ def read_text(path: Path) -> TextTable:
     if each := _each(rows) if names is None else 0:
         number = np.repeat(number, [len(row) // each for row in rows])
         rows = [(row[0], *row[k : k + each]) for row in rows for k in range(1, len(row), each)]
-        cut = (
-            f"{cut}; " * bool(cut) + f"inferred: a row is a stamp and any number of observations of {each} numbers each"
-        )
+        told = f"inferred: a row is a stamp and any number of observations of {each} numbers each"
+        cut = f"{cut}; " * bool(cut) + told
     width = len(rows[0]) if names is None else len(names)
     early = ends_early(map(len, rows), width, 1) if names is not None and separator != " " else set()
     if early:
@@ -213,11 +212,10 @@ def read_text(path: Path) -> TextTable:
     for row, line in zip(rows, number.tolist(), strict=True):
         if len(row) != width:
             last = cut_off(len(row), width, last=line == number[-1])
-            several = "; is it one observation after the other? a row for each is needed" * (
-                len(set(map(len, rows))) > 2
-            )
-            several = kinds_of(path, rows) or several
+            ragged = "; is it one observation after the other? a row for each is needed, of points of a scan its ranges"
+            several = kinds_of(path, rows) or ragged * (len(set(map(len, rows))) > 2)
             raise DataError.at(path, f"{len(row)} fields where {width} are needed{last or several}", line=line)
+    rows = whole_dates(rows)
     points = any("." in f and is_number(f) for row in rows[:1000] for f in row)
     comma = separator in ";\t " and any("," in f for row in rows for f in row) and not points
     shown = list(whole_names(names, rows)) if names is not None else [str(k + 1) for k in range(width)]
@@ -346,14 +344,15 @@ class Units:
         """The unit stated for a quantity, `role.quantity` before `quantity`."""
         return self.given.get(f"{role}.{quantity}", self.given.get(quantity))
 
-    def is_date(self, role: str) -> bool:
-        """Whether a file's stamps are dates."""
-        return (self.unit(role, "t") or self.given.get("time")) == ISO
+    def dates(self, role: str) -> str:
+        """The unit of a file's stamps, if they are dates."""
+        unit = self.unit(role, "t") or self.given.get("time", "")
+        return unit if unit in DATES else ""
 
     def factor(self, role: str, quantity: str) -> float:
         """SI units per unit of a quantity in a file."""
         dimension, unit = QUANTITIES[quantity], self.unit(role, quantity)
-        if not dimension or (dimension == "time" and self.is_date(role)):
+        if not dimension or (dimension == "time" and self.dates(role)):
             return 1.0
         if unit is None:  # rates are per second then
             dimension = quantity = dimension.partition("/")[0]
@@ -368,14 +367,14 @@ def factor(dimension: str, text: str, where: str) -> float:
     over, slash, under = unit.partition("/")
     kind, per, _ = (*dimension.split("/"), "", "")[:3]
     units = DIMENSIONS[kind]
-    if kind == "time" and text == ISO:
+    if kind == "time" and text in DATES:
         return 1.0
     (over, often), (under, times) = (
         (text[many.end() :], float(many[0])) if (many := re.match(r"\d*\.?\d+", text)) else (text, 1.0)
         for text in (over, under)  # counts of 0.1ms, per 0.1s
     )
     if over not in units or bool(slash) != bool(per) or (per and under not in TIME) or not times * often > 0.0:
-        example = f"{next(iter(units))}/s" if per else ", ".join([*units, ISO] if kind == "time" else units)
+        example = f"{next(iter(units))}/s" if per else ", ".join([*units, *DATES] if kind == "time" else units)
         what = f"of {', '.join(units)} per {', '.join(TIME)}, as in {example}," if per else f"one of {example}"
         known = [f"{unit}/{time}" for time in TIME for unit in units] if per else units
         hint = f" (did you mean {over}/s?)" if per and unit in units else did_you_mean(unit, known)
@@ -458,19 +457,17 @@ class Columns:
     def take_series(self, file: TextTable, role: str) -> None:
         """Of arrays of several lengths: the stamps of a role are those as long as what it measures, which is noted."""
         usual = ("v", "omega", "theta", "dtheta", "left") if role == "odometry" else ("range", "bearing")
-        usual = () if role in ROLES and role not in ("odometry", "observations") else usual
-        names = {self.given.get(q, q) for q in usual if f"{role}.{q}" not in self.given}
-        names |= {name for key, name in self.given.items() if key.startswith(f"{role}.")} | {*stars(file).values()}
-        series = file.series()
-        own = [rows for rows, of in series.items() if any(fnmatchcase(n, name) for n in of for name in names)]
-        stamps = [n for n in series[own[0]] if {*words_of(n)[0]} & {*STAMP}] if len(own) == 1 else []
-        if f"{role}.t" in self.given or len(stamps) != 1 or stamps[0] == self.given.get("t", "t"):
-            return
-        times = np.array([row[file.names.index(stamps[0])] for row in file.rows[: own[0]]], float)
-        if (np.diff(times) >= 0.0).all():
-            self.given = {**self.given, f"{role}.t": stamps[0]}
-            told = f"--columns {role}.t={stamps[0]}, the stamps of its {own[0]} rows"
-            self.notes.append(f"{file.path.name}: inferred: {told}")
+        names = {name for key, name in self.given.items() if key.startswith(f"{role}.")}
+        if not names and role not in ROLES[2:]:
+            names = {self.given.get(q, q) for q in usual} | {*stars(file).values()}
+        own = [(k, of) for k, of in file.series().items() if any(fnmatchcase(n, name) for n in of for name in names)]
+        stamps = [n for n in own[0][1] if {*words_of(n)[0]} & {*STAMP}] if len(own) == 1 else []
+        if len(stamps) == 1 and f"{role}.t" not in self.given and stamps[0] != self.given.get("t", "t"):
+            times = np.array([row[file.names.index(stamps[0])] for row in file.rows[: own[0][0]]], float)
+            if (np.diff(times) >= 0.0).all():
+                self.given = {**self.given, f"{role}.t": stamps[0]}
+                told = f"--columns {role}.t={stamps[0]}, the stamps of its {own[0][0]} rows"
+                self.notes.append(f"{file.path.name}: inferred: {told}")
 
     def find(self, file: TextTable, role: str, quantity: str) -> int | None:
         """Index of the column of a quantity in a file, or None; DataError if its stated column is missing."""
@@ -542,8 +539,10 @@ class Columns:
                 raise DataError.at(file.path, f"{what}; name it as in --columns {role}.{q}=NAME")
             first = next((row[column] for row in file.rows if row[column]), "")
             if q in STAMPS and not {"t", "time", f"{role}.t"} & set(self.units.given) and is_date(first):
-                self.units.given[f"{role}.t"] = ISO
-                self.notes.append(f"{file.path.name}: inferred: --unit {role}.t=iso, as {first} is a date")
+                right = f"--unit {role}.t={DMY}, or {role}.t={MDY}, is"
+                unit = unit_of(file.path, (row[column] for row in file.rows), right)
+                self.units.given[f"{role}.t"] = unit
+                self.notes.append(f"{file.path.name}: inferred: --unit {role}.t={unit}, as {first} is a date")
             columns.append(column)
         return columns
 
@@ -565,7 +564,7 @@ class Columns:
     def stamps(self, file: TextTable, role: str, keep: BoolArray) -> Array:
         """Stamps t [s] of rows to keep (K,) of a file, NaN where blank."""
         (column,) = self.require(file, role, ("t",))
-        values = file.numbers(column, keep, stamps=self.units.is_date(role)) * self.units.factor(role, "t")
+        values = file.numbers(column, keep, self.units.dates(role)) * self.units.factor(role, "t")
         return values + self.offsets.get(role, 0.0)
 
     def turned(self, file: TextTable, role: str, time: Array, pose: Array) -> Array:
@@ -632,8 +631,8 @@ class Columns:
         earth = {q for q in EARTH if role in ON_EARTH and columns.get(q, -1) == self.find(file, role, EARTH[q])}
         values: dict[str, Array] = {}
         for q, c in columns.items():
-            dates = q in STAMPS and self.units.is_date(role)
-            values[q] = file.numbers(c, keep, stamps=dates) * (1.0 if q in earth else self.units.factor(role, q))
+            dates = self.units.dates(role) if q in STAMPS else ""
+            values[q] = file.numbers(c, keep, dates) * (1.0 if q in earth else self.units.factor(role, q))
         for q, c in columns.items():
             if QUANTITIES[q] not in ("", "time") and q[0] != "s" and (found := unmeasured(values[q])) is not None:
                 row, count, far = found

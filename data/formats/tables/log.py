@@ -259,14 +259,12 @@ def _between(wanted: Wanted) -> bool:
     ends = [c for q in ("frame1", "frame2") if (c := columns.find(file, "odometry", q)) is not None]
     if len(ends) == 2:
         columns.read |= {(file.path, c) for c in ends}
-        first, last = (
-            n[np.isfinite(n)] for n in (file.numbers(c, np.ones(len(file), bool), stamps=False) for c in ends)
-        )
+        first, last = (n[np.isfinite(n)] for n in (file.numbers(c, np.ones(len(file), bool)) for c in ends))
         return bool((last == first + 1.0).all() and (np.diff(first) == 1.0).all())
     places = [(file, columns.find(file, "odometry", "dx"))]
     places += [(t, columns.find(t, "truth", "x")) for t in [texts.get("truth")] if t is not None]
     steps, *true = (sum(row[c or 0] != "" for row in of.rows) for of, c in places)
-    frames = [of.numbers(c, np.ones(len(of), bool), stamps=False).max(initial=0.0) for role, of in texts.items()
+    frames = [of.numbers(c, np.ones(len(of), bool)).max(initial=0.0) for role, of in texts.items()
               if of is not file and (c := columns.find(of, role, "frame")) is not None]  # fmt: skip
     return true == [steps + 1] or max(frames, default=0.0) == steps
 

@@ -236,7 +236,7 @@ def path_of(texts: Mapping[str, TextTable], columns: Columns, kind: str) -> tupl
 
 def _intervals(file: TextTable, columns: Columns, role: str) -> None:
     """Take a column named as stamps that do not ascend, all about as small, for the time until the next row."""
-    if (column := columns.find(file, role, "t")) is None or columns.units.is_date(role):
+    if (column := columns.find(file, role, "t")) is None or columns.units.dates(role):
         return
     each = columns.stamps(file, role, np.array([row[column] != "" for row in file.rows]))
     usual, back = float(np.median(each)) if len(each) > MANY else 0.0, np.mean(np.diff(each) < 0.0)

@@ -29,6 +29,9 @@ def read_scans(
     first = columns.find(file, "scans", "range")
     beams = [k for k, name in enumerate(file.names) if RANGE.fullmatch(name)]
     t = columns.find(file, "scans", "t")
+    if file.path.is_dir() and (points := len(file.names) - 1) <= 3 and "ranges" not in at:
+        what = f"{points} numbers in a row are points, no beams; for each scan a row of its ranges at equal angles"
+        raise DataError.at(file.path, f"{what} is needed, in one file: range0, range1, ...")
     if first is not None:  # of an array named Z those named Z_1, Z_2, ...
         stem = file.names[first].rstrip("0123456789")
         beams = [k for k in range(first, len(file.names)) if k != t and (not stem or file.names[k].startswith(stem))]
@@ -41,9 +44,6 @@ def read_scans(
     if not beams and listed is None:
         what = f"no scans: {file.described()}; columns such as range0, range1 are needed"
         raise DataError.at(file.path, f"{what}, or --columns scans.range=N: all from the N-th on")
-    if beams and len(beams) <= 3 and file.path.is_dir():
-        what = f"{len(beams)} numbers in a row are points, no beams; a row with the ranges of a whole scan is needed"
-        raise DataError.at(file.path, what, line=int(file.line[0]))
     if scanner is None and not {*STATED} <= {*at}:
         what = f"{file.path.name} names no {', '.join(name for name in STATED if name not in at)}"
         raise UsageError(f"--scanner LOW,STEP,MAX, as in -90deg,0.5deg,8m, is needed: {what}")

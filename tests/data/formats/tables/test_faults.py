@@ -68,6 +68,24 @@ def test_dates_are_stamps(table):
     assert "is not a date" in table(GOOD, *SIGMAS, "--unit", "time=iso", status=2)
 
 
+@pytest.mark.parametrize(("form", "unit", "column"), [
+    ("13/5/2024 9:59:5{}.5", "dmy", "t"), ("5/13/2024 9:59:5{} PM", "mdy", "t"), ("2024-05-13,9:59:5{}", "iso", "day"),
+    ("1{}.05.2024,9:59:55", "dmy", "time"),
+])  # fmt: skip
+def test_days_before_or_behind_months_and_times_of_day_apart_are_dates(table, form, unit, column):
+    text = "\n".join(form.format(line[0]) + line[1:] if line[0].isdigit() else line for line in GOOD.split())
+    text = text.replace("t,", "day,time,", 1) if column != "t" else text
+    log, said = table(text, *SIGMAS, "--columns", f"t={column}")
+    assert np.ptp(log.recorded.time) == pytest.approx(3.0 * (86400.0 if column == "time" else 1.0))
+    assert f"inferred: --unit odometry.t={unit}" in said
+
+
+def test_the_order_of_day_and_month_is_asked_where_none_is_above_twelve(table):
+    text = "\n".join(f"5/6/2024 09:59:5{line}" if line[0].isdigit() else line for line in GOOD.split())
+    assert "day or month first? --unit odometry.t=dmy, or odometry.t=mdy, is needed" in table(text, *SIGMAS, status=2)
+    assert len(table(text, *SIGMAS, "--unit", "t=dmy")[0].recorded) == 4
+
+
 def test_headings_that_look_like_degrees_are_asked_about(table):
     rows = "".join(f"{k},{k},0,{10 * k},2,0.1\n" for k in range(100))
     words = ("--odometry-sigma", "0.05,0.05,0.075,0.045", "--observation-sigma", "0.1,0.1")

@@ -311,12 +311,9 @@ def test_scans_of_a_course_are_in_centimetres_each_at_its_own_odometry(load, tmp
     log = load(text)
     recorded, scans = log.recorded, log.recorded.scans
     assert recorded.prior.mean.tolist() == [1.0, 0.0, 0.0]
-    assert recorded.increments.mean == pytest.approx(np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]]))
-    assert recorded.time == pytest.approx([0.2, 0.4])
-    assert (scans.frame.tolist(), scans.ranges.tolist()) == ([0, 1], [[2.0, 3.0, 0.0], [2.0, 3.0, 4.0]])
-    assert scans.scanner.translation == (-0.25, 0.0)
-    assert "Lines left out: 2 O." in log.notes
-    assert len(open_log(tmp_path / "small.log").recorded) == 2
+    assert recorded.increments.mean[:, 0] == pytest.approx([0.0, 0.4])
+    assert scans.ranges.tolist() == [[2.0, 3.0, 0.0], [2.0, 3.0, 4.0]]
+    assert (scans.scanner.translation, log.notes[1]) == ((-0.25, 0.0), "Lines left out: 2 O.")
     with pytest.raises(UsageError, match="leave the flags out"):
         load_carmen(tmp_path / "small.log", mending=Mending(range_unit="cm"))
     with pytest.raises(DataError, match=r"small.log:3: 'O 150 0 0'; L .* range 3 stamp or O odom_x .* stamp is needed"):
