@@ -186,6 +186,5 @@ def test_points_are_no_beams(convert, tmp_path):
         (tmp_path / "scans" / f"{k}.txt").write_text("1.0 2.0 0.3\n1.1 2.0 0.3\n1.2 2.0 0.3\n")
     flags = ("--scans", str(tmp_path / "scans"), "--scanner", "-1,0.1,8")
     odometry = text("t,v,omega", T[:9], V[:9], OMEGA[:9])
-    assert "3 numbers in a row are points, no beams" in convert(
-        {"o.csv": odometry}, "table", "o.csv", "out", *flags, status=2
-    )
+    said = convert({"o.csv": odometry}, "table", "o.csv", "out", *flags, status=2)
+    assert "3 numbers in a row are points, no beams; for each scan a row of its ranges" in said
