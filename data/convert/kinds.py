@@ -121,7 +121,7 @@ def _add_bag(add: Add) -> None:
 def _bag(args: argparse.Namespace) -> Log | str:
     """The log of the bag; with --list a table of its topics."""
     from data.columns.named import LENGTH
-    from data.formats.bags import Wanted, chosen, collect, listed, log_of_bag, topics_of
+    from data.formats.bags import POLAR, USUAL, Role, Wanted, chosen, collect, listed, log_of_bag, topics_of
     from data.formats.recordings.laser import TravelNoise
     from data.formats.tables.files import POSE, TRAVEL, numbers
 
@@ -137,6 +137,10 @@ def _bag(args: argparse.Namespace) -> Log | str:
     if args.second_odom_sigma is not None and args.second_odom is None:
         text = f"--second-odom-sigma {args.second_odom_sigma}"
         raise UsageError(f"{text}: there is none; --second-odom TOPIC names it")
+    there = {role for t in topics for role in (POLAR if t.role is Role.POLAR else (t.role,))}
+    for role, flag in (*((role, f"{usual[0]}_sigma") for role, usual in USUAL.items()), (Role.RANGES, "range_unit")):
+        if (text := getattr(args, flag)) is not None and role not in there:
+            raise UsageError(f"--{flag.replace('_', '-')} {text}: no topic of {role}; --list says what each becomes")
     travel = "of travel [m] per sqrt(m) and sqrt(rad), of the heading [rad] per sqrt(m) and sqrt(rad)"
     one, found = "a standard deviation", {}
     for flag, dimensions, what, zero in (

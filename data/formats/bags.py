@@ -6,7 +6,8 @@ odometry where no topic is. In a laser log every scan is a frame.
 """
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
@@ -61,6 +62,7 @@ class Role(StrEnum):
     POINTS = "observations: points"
     BEARINGS = "observations: bearings"
     RANGES = "observations: ranges"
+    POLAR = "observations: ranges and bearings"
     SECOND = "second odometry: closures"
     TRUTH = "truth"
     TRANSFORMS = "transforms"
@@ -78,7 +80,7 @@ OF = {
 """What the messages of a type become by default."""
 SECOND_FLAG = "--second-odom"
 CAN_BE_TRUTH = (ODOMETRY, POSE, BARE, PLACE)
-FIXES = (Role.POSITIONS, Role.HEADINGS, Role.POSES)
+FIXES, RANGED = (Role.POSITIONS, Role.HEADINGS, Role.POSES), (Role.RANGES, Role.POLAR)
 
 
 @dataclass(frozen=True)
@@ -100,13 +102,7 @@ def topics_of(path: Path) -> tuple[Topic, ...]:
             known = found.get(c.topic)
             role, why = OF.get(c.msgtype, Role.NOTHING), ""
             if role is Role.NOTHING:
-                numbers = [
-                    n for n, (_, of) in reader.typestore.fielddefs.get(c.msgtype, ((), ()))[1] if of[0] in NUMBERS
-                ]
-                found_in = ranged(numbers)
-                role, why = (
-                    (Role.RANGES, " of ".join(found_in)) if found_in else (role, "messages of this type are not read")
-                )
+                role, why = _by_fields(c.msgtype, reader.typestore.fielddefs)
             elif c.msgtype not in reader.typestore.fielddefs:
                 role, why = Role.NOTHING, "the bag does not define this type"
             count = c.msgcount + (known.count if known is not None else 0)
@@ -118,16 +114,25 @@ def topics_of(path: Path) -> tuple[Topic, ...]:
 
 NUMBERS = {"float32", "float64", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
 RANGE = ("range", "distance", "dist")
+TURN = ("bearing", "azimuth", "angle", "yaw")
 LANDMARK = ("anchorid", "anchor", "beaconid", "beacon", "landmarkid", "landmark", "markerid", "nodeid", "id", "tagid")
 
 
 def ranged(names: Sequence[str]) -> tuple[str, ...]:
-    """The range and the landmark's id among the numbers of a message of any type; empty without both, or with a bearing
-    beside them.
-    """
+    """Range, landmark's id, and bearing if there is one, among the numbers of a message or a part; empty without id."""
     plain = {name.lower().replace("_", ""): name for name in names}
-    found = [next((plain[word] for word in words if word in plain), "") for words in (RANGE, LANDMARK)]
-    return () if "" in found or {"azimuth", "bearing", "angle"} & plain.keys() else tuple(found)
+    found = [next((plain[word] for word in words if word in plain), "") for words in (RANGE, LANDMARK, TURN)]
+    return () if "" in found[:2] else tuple(name for name in found if name)
+
+
+def _by_fields(kind: str, types: Mapping[str, Any]) -> tuple[Role, str]:
+    """What a type becomes by its numbers, or those of the parts in a list, and which these are."""
+    fields = types.get(kind, ((), ()))[1]
+    parts = [(f"{n}[].", types[of[0][1]][1]) for n, (_, of) in fields if isinstance(of[0], tuple) and of[0][1] in types]
+    for within, some in (("", fields), *parts):
+        if names := ranged([n for n, (_, of) in some if of[0] in NUMBERS]):
+            return RANGED[len(names) - 2], " of ".join(within + name for name in (names[0], names[1]))
+    return Role.NOTHING, "messages of this type are not read"
 
 
 def chosen(
@@ -142,6 +147,8 @@ def chosen(
             raise UsageError(f"{flag} {name}: no such topic in {path}{did_you_mean(name, names)}")
     by_name = {t.name: t for t in topics}
     for name in skip:
+        if (of := by_name[name]).role is Role.NOTHING:
+            raise UsageError(f"--skip {name}: it is left out without it, too: {of.why}")
         by_name[name] = replace(by_name[name], role=Role.NOTHING, why="--skip")
     if truth is not None and truth != TF:
         if by_name[truth].kind not in CAN_BE_TRUTH:
@@ -165,7 +172,8 @@ def chosen(
         elif wanted is not None and wanted not in of_role:
             kind = next(t.kind for t in topics if t.name == wanted)
             there = ", ".join(of_role) or "none"
-            raise UsageError(f"{flag} {wanted}: its messages are {kind}; topics of {role}: {there}")
+            more = f"; {OTHERWISE}" * (role is Role.ODOMETRY)
+            raise UsageError(f"{flag} {wanted}: its messages are {kind}; topics of {role}: {there}{more}")
         elif wanted is None and len(of_role) > 1 and listing:
             by_name |= {name: replace(by_name[name], why=f"if {flag} {name}") for name in of_role}
             continue
@@ -256,6 +264,7 @@ class Collected:
     unstamped: set[str] = field(default_factory=set)  # topics of poses with stamps 0, which are times of recording then
     detections: dict[str, list[Detection]] = field(default_factory=dict)  # by topic
     whole: set[str] = field(default_factory=set)  # topics of ranges that are whole numbers
+    places: dict[str, tuple[float, ...]] = field(default_factory=dict)  # by topic, of a sensor as its messages state it
     cameras: dict[str, tuple[float, float, float, float]] = field(default_factory=dict)  # fx, fy, cx, cy by frame
     tree: Tree = field(default_factory=Tree)  # transforms
     scans: Scanned = field(default_factory=Scanned)  # of the only topic of scans
@@ -288,15 +297,19 @@ def _add(found: Collected, role: Role, topic: str, kind: str, message: Any, reco
     elif role in (Role.POINTS, Role.BEARINGS):
         some = (d for d in detections(kind, message, recorded) if _finite(d.at[:2], where))
         found.detections.setdefault(topic, []).extend(some)
-    elif role is Role.RANGES:
-        value = {name: v for name, v in vars(message).items() if isinstance(v, (int, float))}
-        far, number = (value[name] for name in ranged([*value]))
+    elif role in RANGED:
         stamped = hasattr(message, "header")
         frame = ros.bare(message.header.frame_id) if stamped else ""
         at = ros.stamp_of(message, recorded) if stamped else recorded
-        found.whole |= {topic} if isinstance(far, int) else set()
-        if far > 0.0 and _finite((far,), where):
-            found.detections.setdefault(topic, []).append(Detection(at, frame, _id(number), (float(far), 0.0, 0.0)))
+        if (own := getattr(message, "sensor_pose_on_robot", None)) is not None:
+            p, q = own.position, own.orientation
+            found.places[topic] = (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
+        for part in (message, *(p for v in vars(message).values() if isinstance(v, list) for p in v)):
+            value = {name: v for name, v in getattr(part, "__dict__", {}).items() if isinstance(v, (int, float))}
+            far, number, turn = (*(value[name] for name in ranged([*value])), 0.0, 0.0, 0.0)[:3]
+            found.whole |= {topic} if far > 0 and isinstance(far, int) else set()
+            if far > 0.0 and _finite(z := (float(far), float(turn), 0.0), where):
+                found.detections.setdefault(topic, []).append(Detection(at, frame, _id(number), z))
     elif role is Role.POSITIONS:
         found.frames[topic] = "", ros.bare(message.header.frame_id)
         if message.status.status < 0 or not np.isfinite([message.latitude, message.longitude]).all():
@@ -398,6 +411,8 @@ MOST_BEYOND = 0.5
 LONG = 1.0  # s; longer gaps of the odometry are counted
 SMALL = 1e-3  # Largest deviation of the tilt's cosine from 1 (2.6 degrees)
 ODOM_FRAME = "odom"
+WHEELS = re.compile("odom|wheel|encoder|tick|motor", re.IGNORECASE)  # In names of odometry of other types
+OTHERWISE = "ticks left, right, or v, omega, exported as CSV beside the scans, suit slamref convert table --scans"
 
 
 def odometry_of(path: Path, topics: Sequence[Topic], found: Collected) -> tuple[str, str, Array, Array]:
@@ -418,8 +433,13 @@ def odometry_of(path: Path, topics: Sequence[Topic], found: Collected) -> tuple[
         if not any(moving[child].moves for child in named):  # the frame that drives is below it
             named = [k for k, m in below.items() if m.moves and found.tree.carries((*named, k)[0], k)] or named
         if not named:
+            others = ", ".join(t.name for t in topics if t.role is Role.NOTHING and WHEELS.search(t.name + t.kind))
+            ways = ["--odom TOPIC"] * any(t.kind == ODOMETRY for t in topics) + [f"{others}: {OTHERWISE}"] * bool(
+                others
+            )
+            ways += [f"slamref convert rosbag {path} LOG --no-odometry: scans alone"] * bool(found.scans.ranges)
             what = "neither a topic of odometry nor a moving transform of the robot; one is needed"
-            raise DataError.at(path, f"{what}: --odom TOPIC{', or --no-odometry' if found.scans.ranges else ''}")
+            raise DataError.at(path, f"{what}{': ' * bool(ways)}{', or '.join(ways)}")
         topic, robot = TF, max(named, key=lambda child: (moving[child].moves, len(moving[child].stamp)))
         stamp = np.array(moving[robot].stamp)
         R, t = moving[robot].at(stamp)
@@ -510,8 +530,8 @@ def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, 
     if scan is None and not any(t.role is Role.SCANS for t in every):
         raise UsageError(f"{path}: no LaserScan; slamref convert bag {path} --list says what it holds instead")
     roles = (Role.SCANS, Role.ODOMETRY, Role.TRANSFORMS)
-    topics = [t for t in chosen(path, every, odometry=odometry, scans=scan) if t.role in roles]
-    found = collect(path, topics)
+    topics = chosen(path, every, odometry=odometry, scans=scan)
+    found = collect(path, [t for t in topics if t.role in roles])
     try:
         topic, robot, time, pose = odometry_of(path, topics, found)
     except DataError:
@@ -521,8 +541,14 @@ def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, 
         pose = np.zeros((len(time), 3))
     scans = scans_of(path, topics, found, robot, (float(time[0]), float(time[-1])), mending)
     stamp, inside, name = scans.stamp, scans.inside, next(t.name for t in topics if t.role is Role.SCANS)
-    where = f"Frames are the scans of {name}, with {topic} interpolated at their stamps."
-    notes = ["No ground truth: the prior is the first pose of the odometry.", where, *scans.notes]
+    where, source = f"Frames are the scans of {name}", {"kind": "rosbag", **source_file(path), "scan": name}
+    notes = ["No ground truth and no odometry: scans alone tell the motion.", f"{where}.", *scans.notes]
+    if mending.odometry:
+        source["odometry"] = topic
+        where += f", with {topic} interpolated at their stamps."
+        notes = ["No ground truth: the prior is the first pose of the odometry.", where, *scans.notes]
+    if more := [t.name for t in topics if t.role not in (*roles, Role.NOTHING, Role.CAMERA, Role.TRUTH)]:
+        notes.append(f"Left out, as slamref convert bag alone reads them: {', '.join(more)}.")
     if not inside.all():
         lost = f"{int((~inside).sum())} of {counted(len(inside), 'scan')}"
         notes.append(f"{lost} outside the span of the odometry: left out.")
@@ -532,7 +558,6 @@ def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, 
         notes.append(f"{counted(far, 'scan is', 'scans are')} where the odometry pauses for more than {LONG:g} s.")
     if scans.resampled:
         notes.append(f"{scans.resampled} of {counted(len(inside), 'scan')} with other beams: resampled.")
-    source = {"kind": "rosbag", **source_file(path), "scan": name, "odometry": topic}
     recorded = lasers.laser_inputs(
         interpolate(time, mending.poses(pose), stamp), stamp, Scans(scans.scanner, np.arange(len(stamp)), scans.ranges)
     )
@@ -633,6 +658,7 @@ USUAL = {
     Role.HEADINGS: ("heading", 5.0, "deg"), Role.RANGES: ("range", 0.1, "m"),
 }  # fmt: skip
 """Flag and sigma of each role where nobody states it."""
+POLAR = (Role.RANGES, Role.BEARINGS)  # Roles whose flags count for ranges with bearings
 
 
 @dataclass(frozen=True, eq=False)
@@ -680,6 +706,8 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
         reasons = "; ".join(text.rstrip(".") for text in left) or "no topic of scans, detections or fixes"
         raise DataError.at(path, f"nothing beside the odometry: {reasons}; --list names what each topic becomes")
     left += [f"assumed: {flag}" for flag in wanted.assumed.values()]
+    if unread := [t.name for t in topics if t.role is Role.NOTHING and t.count and t.why != "--skip"]:
+        left.append(f"Left out ({path.name} --list says why): {', '.join(unread)}.")
     notes = [f"Odometry: {odometry}, poses of {robot or 'the robot'} interpolated at the frames.", *notes, *left]
     first, last = float(stamp[0]), float(stamp[-1])
     if last - first > LONGEST:
@@ -751,7 +779,7 @@ def _observed(
     for t in topics:
         every = found.detections.get(t.name, [])
         rows = [d for d in every if stamp[0] <= d.stamp <= stamp[-1]]
-        if t.role not in (Role.POINTS, Role.BEARINGS, Role.RANGES) or not every:
+        if t.role not in (Role.POINTS, Role.BEARINGS, *RANGED) or not every:
             continue
         if len(rows) < len(every):
             lost = f"{len(every) - len(rows)} of {counted(len(every), 'detection')}"
@@ -760,8 +788,11 @@ def _observed(
         for frame in dict.fromkeys(d.frame for d in rows):
             some = [d for d in rows if d.frame == frame]
             at = np.array([d.stamp for d in some])
+            if (place := found.places.get(t.name)) is not None and not found.tree.carries(robot, frame):
+                found.tree.add(robot, frame, 0.0, place, static=True)
+                left.append(f"{t.name} measures at ({place[0]:.4g}, {place[1]:.4g}) m, as its messages state.")
             placed = found.tree.between(robot, frame, at) if found.tree.carries(robot, frame) else None
-            if placed is None and t.role is Role.RANGES:
+            if placed is None and t.role in RANGED:
                 placed = np.tile(np.eye(3), (len(some), 1, 1)), np.zeros((len(some), 3))
                 left.append(f"assumed: {t.name} measures at the robot's origin: tf does not place {frame or 'it'}")
             if placed is None:
@@ -769,8 +800,8 @@ def _observed(
                             f"{robot!r}: left out.")  # fmt: skip
                 continue
             where = np.array([d.at for d in some])
-            if t.role is Role.RANGES:
-                where *= LENGTH[wanted.unit or ("mm" if t.name in found.whole else "m")]
+            if t.role in RANGED:
+                where[:, 0] *= LENGTH[wanted.unit or ("mm" if t.name in found.whole else "m")]
             if t.role is Role.BEARINGS:
                 if frame not in found.cameras:
                     left.append(f"{t.name}: no CameraInfo of {frame!r}, so pixels tell no direction: left out.")
@@ -778,7 +809,7 @@ def _observed(
                 fx, fy, cx, cy = found.cameras[frame]  # an optical frame: x to the right, y down, z ahead
                 where = np.column_stack([(where[:, 0] - cx) / fx, (where[:, 1] - cy) / fy, np.ones(len(where))])
             made.append((at, *placed, where, np.array([d.id for d in some], np.int64)))
-        if made and t.role is Role.RANGES and t.name in found.whole and not wanted.unit:
+        if made and t.role in RANGED and t.name in found.whole and not wanted.unit:
             left.append("assumed: --range-unit mm, as ranges are whole numbers")
         if made:
             seen.append(_by_sensor(t, [np.concatenate(part) for part in zip(*made, strict=True)], wanted))
@@ -793,7 +824,7 @@ def _anchors(topics: Sequence[Topic], found: Collected) -> tuple[LandmarkMap | N
         if t.kind != MARKERS or not true or {d.frame for d in some} != {true} or min(d.id for d in some) < 0:
             continue
         at = {k: np.array([d.at[:2] for d in some if d.id == k]) for k in sorted({d.id for d in some})}
-        if any(t.role is Role.RANGES for t in topics) and max(np.ptp(p, axis=0).max() for p in at.values()) < STILL:
+        if any(t.role in RANGED for t in topics) and max(np.ptp(p, axis=0).max() for p in at.values()) < STILL:
             del found.detections[t.name]
             known = LandmarkMap(np.array([*at], np.int64), np.array([p.mean(axis=0) for p in at.values()]))
             return known, [f"{t.name}: {len(at)} markers in {true!r}, the frame of the truth, are the map."]
@@ -807,7 +838,8 @@ def _by_sensor(topic: Topic, parts: Sequence[Array], wanted: Wanted) -> _Seen:
     """Points in the body frame, or directions from the camera's mean place, turned as the body is."""
     at, R, t, where, ids = parts
     order = np.argsort(at, kind="stable")
-    turned, sigma = np.einsum("nij,nj->ni", R, where), wanted.sigma(topic.role)
+    turned = np.einsum("nij,nj->ni", R, where)
+    sigma = wanted.sigma(Role.RANGES if topic.role is Role.POLAR else topic.role)
     x, y = (-t[:, :2].mean(axis=0)).tolist()
     if topic.role is Role.POINTS:
         z = (turned + t)[:, :2]
@@ -818,6 +850,10 @@ def _by_sensor(topic: Topic, parts: Sequence[Array], wanted: Wanted) -> _Seen:
         z = where[:, :2]
         sensor = Range(1.001 * float(z.max()), translation=(x + 0.0, y + 0.0), label=_named(topic.name))
         covariance = np.tile(np.diag([sigma**2, 1.0]), (len(z), 1, 1))
+    elif topic.role is Role.POLAR:
+        z = np.column_stack([where[:, 0], se2.wrap_angle(where[:, 1] + np.arctan2(R[:, 1, 0], R[:, 0, 0]))])
+        sensor = RangeBearing(1.001 * float(z[:, 0].max()), translation=(x + 0.0, y + 0.0), label=_named(topic.name))
+        covariance = np.tile(np.diag([sigma**2, wanted.sigma(Role.BEARINGS) ** 2]), (len(z), 1, 1))
     else:
         z = np.column_stack([np.zeros(len(at)), np.arctan2(turned[:, 1], turned[:, 0])])
         sensor = Bearing(translation=(x + 0.0, y + 0.0), label=_named(topic.name))

@@ -151,7 +151,8 @@ def parse_carmen(path: Path, content: bytes) -> CarmenLines:
     kind = max(reversed(SCANS), key=lambda k: len(found[k][0]))
     lines, rows = found[kind]
     if not lines:
-        raise DataError.at(path, f"no line of a laser scan; {FLASER} or {ROBOTLASER} lines (or L) are needed")
+        more = f"; a table is for slamref convert table {path} LOG"
+        raise DataError.at(path, f"no line of a laser scan; {FLASER} or {ROBOTLASER} lines (or L) are needed{more}")
     others.update({k: len(found[k][0]) for k in SCANS if k != kind and found[k][0]})
     scans = _scans(path, kind, lines, rows)
     return CarmenLines(_odometry(path, *found[ODOM]), scans, parameters, dict(others), np.array(neff, np.int64))

@@ -10,7 +10,8 @@ import scipy
 from data.inputs import Scans
 from data.log import Log
 from data.notice import Code, Notice, notice
-from data.se2 import Array, between, dead_reckoned, transform_points
+from data.questions.flags import as_pose
+from data.se2 import Array, between, dead_reckoned, inverse, transform_points
 from wings.laser.scans.points import beams_of
 
 K = TypeVar("K")
@@ -115,6 +116,11 @@ def mounting(log: Log, scans: Scans) -> list[Notice]:
     fits = found + float(more[best].mean())
     flags = ("--clockwise",) * clockwise + (f"--laser-turned {turned:g}",) * bool(turned)
     about = {"clockwise": clockwise, "alone": not known}
+    if log.source.get("kind") == "table":
+        s = scans.scanner.mounted(clockwise=clockwise, turned=math.radians(turned))
+        beams = f"{math.degrees(s.angle_min) + 0.0:.6g}deg,{math.degrees(s.angle_step):.6g}deg,{s.max_range:.6g}m"
+        place = as_pose(inverse(np.array([*s.translation, s.rotation])) + 0.0, "m")
+        flags = (f"--scanner={beams}",) * clockwise + (f"--sensor-pose={place}",) * bool(turned)
     return [notice(Code.MOUNTING, turned=turned, stated=found, fits=fits, flags=flags, **about)]
 
 

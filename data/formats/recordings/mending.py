@@ -71,7 +71,7 @@ def require_metres(path: Path, ranges: Array) -> None:
     middle = float(np.median(finite))
     unit = "mm" if middle > 1000.0 else "cm"
     what = f"the middle range is {middle:g} m; metres are needed"
-    right = f"add --range-unit {unit} to slamref convert (of a table --unit range={unit})"
+    right = f"add --range-unit {unit} to slamref convert carmen or rosbag (of a table --unit scans.range={unit})"
     raise DataError.at(path, f"{what}: are the ranges in {unit}? Then {right}")
 
 

@@ -287,7 +287,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
         parts.append(read_closures(texts["closures"], wanted, odometry))
     scanned = None
     if SCANS in texts:
-        scanned, stamps = read_scans(texts[SCANS], columns, wanted.scanner, odometry)
+        scanned, stamps = read_scans(texts[SCANS], columns, wanted.scanner, odometry, wanted.mount)
         once = np.flatnonzero(np.diff(scanned.stamp, prepend=-np.inf) > 0.0)
         z = scanned.ranges
         parts.append(Rows(SCANS, "scan", stamps, scanned.stamp[:, None], True, z, z, 0 * stamps.line).part(once))
@@ -386,6 +386,7 @@ def _origins(wanted: Wanted) -> Origins:
     found = {"odometry_noise": Origin.GIVEN} | {q: Origin.GIVEN for q, value in given.items() if value is not None}
     found |= {q: Origin.GIVEN for q, values in flags.items() if values}
     if SCANS in wanted.files:
+        found["sensor_pose"] = Origin.ASSUMED if wanted.mount is None else Origin.GIVEN
         found["range_noise"] = Origin.ASSUMED
     for of in wanted.sensors:
         found |= {f"{q}.{of.sensor.label}" if of.sensor.label else q: origin for q, origin in of.origins.items()}

@@ -26,6 +26,7 @@ from data.formats.tables.files import (
     IDS,
     POSE,
     ROLES,
+    SCANS,
     SECOND,
     STAMPED,
     STARRED,
@@ -144,11 +145,14 @@ def sensors_of(given: Given, files: Mapping[str, TextTable], columns: Columns, k
     texts = {flag: by_sensor(given[flag], flag) for flag in OF_SENSORS if flag in given}
     for flag, found in texts.items():
         for name in found:
-            if name and name not in names:
+            if name and name not in (*names, *[SCANS] * (flag == "sensor-pose" and SCANS in files)):
                 known = unknown(name, names) if names else f"no sensor; --{SENSOR} {name}=FILE names one"
                 raise UsageError(f"--{flag} {name}={found[name]}: {name!r} is {known}")
     texts[LENGTH] = {"": str(given[LENGTH])}
     roles = names or [role for role in (OBSERVATIONS,) if role in files]
+    for flag, found in texts.items():
+        if not roles and flag not in (LENGTH, *["sensor-pose"] * (SCANS in files)):
+            raise UsageError(f"--{flag} {found.popitem()[1]}: no observations; --{OBSERVATIONS} FILE names them")
     truth = files.get("truth")
     taken = {role for role in roles if (kind == "poses" and files[role] is files["odometry"])
              or columns.taken(files[role], role, ("x", "y"), truth)}  # fmt: skip
@@ -252,6 +256,7 @@ class Wanted:
     fix_rotation: float = 0.0
     second: Second | None = None
     scanner: Array | None = None  # (3,) first angle, step [rad] and reach [m] of scans; None: columns state them
+    mount: Array | None = None  # (3,) pose of the scanner on the robot
     assumed: tuple[str, ...] = ()  # quantities of `Origins` that nobody stated
 
 
@@ -376,7 +381,7 @@ def settle(given: Given) -> Wanted:
     if starts:
         given = {"prior-sigma": "10cm,10cm,3deg", **given, "prior": FROM_TRUTH}
         columns.notes.append(f"assumed: --prior truth --prior-sigma {given['prior-sigma']}")
-    prior = given.get("prior")
+    prior, poses = given.get("prior"), by_sensor(given.get("sensor-pose", []), "sensor-pose")
     map_pose, truth_pose = (numbers_of(given, f"{of}-transform") for of in ("map", "truth"))
     return Wanted(
         files=files, texts=texts, columns=columns, kind=kind, wheels=_wheels(given, kind),
@@ -390,6 +395,7 @@ def settle(given: Given) -> Wanted:
         sensed=bool(given.get("labels-sensed", False)),
         backward=table_files.one_of(given, "hold", ("forward", "backward")) == "backward", second=second,
         scanner=numbers_of(given, "scanner"),
+        mount=numbers_of({**given, "sensor-pose": poses.get(SCANS, poses.get(""))}, "sensor-pose"),
         assumed=("odometry_noise",) * ("odometry-sigma" not in given) + ("prior",) * starts,
         **_of_fixes(given, files),
     )  # fmt: skip

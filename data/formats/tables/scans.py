@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 from itertools import groupby
 from types import SimpleNamespace
 
@@ -20,10 +21,11 @@ STATED = ("angle_min", "angle_increment", "range_max")
 
 
 def read_scans(
-    file: TextTable, columns: Columns, scanner: Array | None, odometry: Odometry
+    file: TextTable, columns: Columns, scanner: Array | None, odometry: Odometry, mount: Array | None = None
 ) -> tuple[LaserScans, Table]:
     """The scans within the odometry, and their stamps as a table; without stamps one for each of its rows. `scanner`:
-    (3,) first angle, step [rad] and reach [m]. DataError for columns or fields, UsageError without angles.
+    (3,) first angle, step [rad] and reach [m]; `mount`: (3,) its pose on the robot. DataError for columns or
+    fields, UsageError without angles.
     """
     at = {name.rpartition(".")[2]: k for k, name in enumerate(file.names)}
     first = columns.find(file, "scans", "range")
@@ -44,14 +46,16 @@ def read_scans(
     if not beams and listed is None:
         what = f"no scans: {file.described()}; columns such as range0, range1 are needed"
         raise DataError.at(file.path, f"{what}, or --columns scans.range=N: all from the N-th on")
+    file, beams, stamp = _folded(file, beams[0], columns, odometry) if len(beams) == 1 else (file, beams, None)
     if scanner is None and not {*STATED} <= {*at}:
         what = f"{file.path.name} names no {', '.join(name for name in STATED if name not in at)}"
         raise UsageError(f"--scanner LOW,STEP,MAX, as in -90deg,0.5deg,8m, is needed: {what}")
     if scanner is not None and (len(beams) - 1.5) * abs(scanner[1]) > 2.0 * np.pi:
         what = f"{len(beams)} beams, {math.degrees(scanner[1]):.4g} deg apart, pass a full turn"
         raise UsageError(f"--scanner: {what}; are there intensities between the ranges? Leave their columns out")
-    stamped = t is not None or len(file) != len(odometry.rows)
-    stamp = columns.stamps(file, "scans", np.ones(len(file), bool)) if stamped else odometry.rows
+    if stamp is None:
+        stamped = t is not None or len(file) != len(odometry.rows)
+        stamp = columns.stamps(file, "scans", np.ones(len(file), bool)) if stamped else odometry.rows
     found, header = Collected(), SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0), frame_id="laser")
     given = {} if scanner is None else dict(zip(STATED, scanner.tolist(), strict=True))
     for k, (row, line) in enumerate(zip(file.rows, file.line.tolist(), strict=True)):
@@ -65,5 +69,31 @@ def read_scans(
         message = SimpleNamespace(header=header, ranges=ranges, **own)
         found.scans.add(message, float(stamp[k]), f"{file.path}:{line}")
     columns.read |= {(file.path, k) for k in (*beams, *(at[n] for n in GEOMETRY if n in at))}
+    if mount is not None:
+        turned = (0.0, 0.0, math.sin(0.5 * mount[2]), math.cos(0.5 * mount[2]))
+        found.tree.add("", header.frame_id, 0.0, (*mount[:2].tolist(), 0.0, *turned), static=True)
     seen = scans_of(file.path, (), found, "", odometry.span)
     return seen, Table(file.path, {"t": seen.stamp}, line=np.arange(1, len(seen.stamp) + 1))
+
+
+def _folded(file: TextTable, beam: int, columns: Columns, odometry: Odometry) -> tuple[TextTable, list[int], Array]:
+    """Scans whose ranges are in one column, one scan after the other, as a row each; their columns, and the stamps.
+    DataError where stamps, or poses without any, do not tell how many ranges are a scan.
+    """
+    count = 1 + max((k for k, row in enumerate(file.rows) if row[beam]), default=-1)
+    stamp, what, uneven = odometry.rows[~np.isnan(odometry.rows)], "poses", False
+    if columns.find(file, "scans", "t") is not None:
+        stamp, what = columns.stamps(file, "scans", np.ones(len(file), bool)), "stamps"
+        stamp = stamp[~np.isnan(stamp)]
+    if len(stamp) == count:  # of each range
+        first = np.flatnonzero(np.diff(stamp, prepend=-np.inf) != 0.0)
+        stamp, uneven = stamp[first], len(np.unique(np.diff(first, append=count))) > 1
+    each, rest = divmod(count, max(len(stamp), 1))
+    if rest or uneven or each < 2:
+        told = f"{count} ranges in one column and {len(stamp)} {what}: how many are a scan? As many for each are needed"
+        raise DataError.at(file.path, f"{told}, or a column for each beam; ranges to landmarks are --observations")
+    columns.notes.append(f"{file.path.name}: inferred: scans of {each} beams, {count} ranges for {len(stamp)} {what}")
+    names = (*file.names, *(f"{file.names[beam]} {k}" for k in range(2, each + 1)))
+    rows = tuple((*file.rows[k], *(r[beam] for r in file.rows[k + 1 : k + each])) for k in range(0, count, each))
+    file, beams = replace(file, names=names, rows=rows, line=file.line[:count:each]), range(len(file.names), len(names))
+    return file, [beam, *beams], stamp

@@ -11,6 +11,9 @@ from tests.data.formats.recordings.ros.bags import START, Maker, get_types_from_
 VISION = {
     "uwb_msgs/msg/Ranging": "int16 anchorId\nint16 tagId\nint32 range\nfloat64 rss",
     "uwb_msgs/msg/Radar": "int16 id\nfloat32 distance\nfloat32 azimuth",
+    "uwb_msgs/msg/One": "float64 range\nint32 id",
+    "uwb_msgs/msg/Many": "std_msgs/Header header\ngeometry_msgs/Pose sensor_pose_on_robot\nuwb_msgs/One[] seen",
+    "uwb_msgs/msg/Radars": "uwb_msgs/Radar[] seen",
     "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score",
     "vision_msgs/msg/ObjectHypothesisWithPose": (
         "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose"

@@ -15,10 +15,10 @@ from data.formats.bags import FLAT_BOXES, TAGS, Detection, detections
 from data.formats.open_log import load_folder
 from data.log import Log
 from data.pose_measurements import FixKind
-from data.sensors import Bearing, Range, RelativePoint
+from data.sensors import Bearing, Range, RangeBearing, RelativePoint
 from tests.data.formats.bags.made import START, Full
 
-TIMES = np.arange(0.0, 4.01, 0.5)
+TIMES, POINT = np.arange(0.0, 4.01, 0.5), "apriltag_msgs/msg/Point"
 
 
 @pytest.fixture
@@ -139,7 +139,6 @@ def test_ranges_of_any_type_and_their_anchors(maker, tmp_path, capsys):
         for k, (x, y) in anchors.items():
             far = round(1000.0 * math.hypot(x - t, y - 2.0))
             maker._send(t, "/uwb", "uwb_msgs/msg/Ranging", anchorId=k, tagId=0, range=far, rss=-80.0)
-    maker._send(1.0, "/radar", "uwb_msgs/msg/Radar", id=1, distance=3.0, azimuth=0.5)
     log = load(maker, tmp_path, "--truth", "/mocap")
     r, o, said = log.recorded, log.recorded.observations, capsys.readouterr().out
     assert "assumed: --range-unit mm" in said
@@ -152,7 +151,6 @@ def test_ranges_of_any_type_and_their_anchors(maker, tmp_path, capsys):
     assert main(["bag", str(tmp_path / "small"), "--list"]) == 0
     listed = capsys.readouterr().out
     assert "observations: ranges (range of anchorId)" in listed
-    assert "- (messages of this type are not read)" in next(k for k in listed.splitlines() if k.startswith("/radar"))
 
 
 def test_ranges_in_their_unit_from_their_place(maker, tmp_path):
@@ -161,6 +159,21 @@ def test_ranges_in_their_unit_from_their_place(maker, tmp_path):
     o = log.recorded.observations
     assert (o.z[0, 0], o.R[0, 0, 0], log.recorded.map) == (pytest.approx(2.5), pytest.approx(0.0025), None)
     assert main(["bag", str(tmp_path / "small"), str(tmp_path / "out2"), "--range-unit", "cn"]) == 2
+
+
+def test_ranges_within_a_list_are_read_with_their_place_and_what_is_left_out_is_said(maker, tmp_path, capsys):
+    one, radar = (maker.store.types[f"uwb_msgs/msg/{name}"] for name in ("One", "Radar"))
+    for t, far in ((1.0, 0.0), (2.0, 3.0)):
+        seen = {"sensor_pose_on_robot": maker._pose(0.25, 0.5), "seen": [one(far, 7), one(4.0, 8)]}
+        maker._send(t, "/beacon", "uwb_msgs/msg/Many", header=maker._header("uwb", t), **seen)
+    maker._send(2.0, "/radar", "uwb_msgs/msg/Radars", seen=[radar(9, 5.0, 0.5)])
+    maker._send(2.0, "/word", POINT, x=1.0, y=2.0)
+    log = load(maker, tmp_path, "--range-sigma", "0.2", "--bearing-sigma", "0.01")
+    o, sensors = log.recorded.observations, log.recorded.sensors
+    assert [(type(s), s.translation) for s in sensors] == [(Range, (-0.25, -0.5)), (RangeBearing, (0.0, 0.0))]
+    assert (log.label.tolist(), o.z[:, 0].tolist(), o.z[3, 1]) == ([8, 7, 8, 9], [4.0, 3.0, 4.0, 5.0], 0.5)
+    assert np.diagonal(o.R, axis1=1, axis2=2)[[0, 3]] == pytest.approx(np.array([[0.04, 1.0], [0.04, 1e-4]]))
+    assert ": /word." in capsys.readouterr().out
 
 
 def test_scans_and_detections_share_their_frames(maker, tmp_path):
@@ -227,6 +240,9 @@ def test_detections_that_nothing_mounts_on_the_robot_are_left_out_and_said(maker
          "/boxes: .*: left out; /markers: 1 detection .*: left out; --list names"),
         (lambda m: None, (), "nothing beside the odometry: no topic of scans, detections or fixes"),
         (lambda m: m.poses(1.0, [(2, 1)]), ("--odom", "/odo"), "no such topic in .*did you mean /odom"),
+        (lambda m: m.poses(1.0, [(2, 1)]), ("--range-sigma", "1"), "--range-sigma 1: no topic of observations: ranges"),
+        (lambda m: m._send(1.0, "/w", POINT, x=1.0, y=2.0), ("--skip", "/w"), "--skip /w: it is left out without it"),
+        (lambda m: m._send(1.0, "/w", POINT, x=1.0, y=2.0), ("--odom", "/w"), "or v, omega, exported as CSV"),
         (lambda m: m.odometry(1.0, (0, 0, 0), "/other"), (), "--odom TOPIC is needed; topics of odometry: /odom"),
         (lambda m: m.satellites(1.0, (48.0, 11.0), 1.0), (), "the first heading in the frame of the fixes is unknown"),
         (lambda m: m.pose(1.0, (0, 0, 0)), (), "/amcl_pose: messages without a covariance; --truth /amcl_pose"),

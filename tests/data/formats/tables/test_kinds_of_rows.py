@@ -129,6 +129,25 @@ def test_scans_and_poses_of_arrays(convert, tmp_path, suffix):
     assert log.recorded.increments.mean[1:, 0] == pytest.approx(0.2)
 
 
+def test_ranges_in_one_column_are_as_many_for_each_pose_and_the_scanner_has_a_place(convert, read, unread, tmp_path):
+    """Seen: a vector of all ranges was read as scans of one beam, and the place of the scanner was dropped."""
+    far = 1.0 + np.arange(60.0).reshape(10, 6)
+    words = ("--columns", "x=X_1,y=X_2,theta=X_3,scans.range=Z", "--scanner=-25deg,10deg,70", "--scans", "a.npz")
+    for count in (59, 10, 60):
+        np.savez(tmp_path / "a.npz", X=np.column_stack([np.arange(10.0), np.zeros((10, 2))]), Z=far.ravel()[:count])
+        made = convert({}, "table", "a.npz", "out", *words, "--sensor-pose", "0.5,0,0", status=0 if count == 60 else 2)
+        assert count == 60 or f"{count} ranges in one column and 10 poses: how many are a scan?" in made
+    seen = made[0].recorded.scans
+    assert (seen.ranges.tolist(), seen.scanner.translation) == (far.tolist(), (-0.5, 0.0))
+    rows = [f"{k},{r}\n" for k, scan in enumerate(far) for r in scan]
+    files = {"o.csv": "t,x,y,theta\n0,0,0,0\n4,1,0,0\n9,2,0,0\n", "s.csv": "t,range\n" + "".join(rows)}
+    log, _ = read(files, "--scans", "s.csv", "--scanner", "0,0.1,70")
+    assert log.recorded.scans.ranges.tolist() == far.tolist()
+    files["s.csv"] = "t,range\n" + "".join([*rows[:5], "1,9\n", *rows[6:]])
+    assert "how many are a scan?" in unread(files, "--scans", "s.csv", "--scanner", "0,0.1,70")
+    assert "--view -1,1: no observations" in unread(files, "--scans", "s.csv", "--view", "-1,1")
+
+
 def test_arrays_of_one_file_may_end_at_different_rows(convert, tmp_path):
     t = 0.1 * np.arange(200)
     np.savez(tmp_path / "a.npz", to=t, xo=t, yo=0 * t, po=0 * t, tg=t[::20], xg=t[::20], yg=0 * t[::20])

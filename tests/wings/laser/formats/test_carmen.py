@@ -273,6 +273,7 @@ def test_a_fault_in_a_line_with_its_own_geometry_is_named(tmp_path, line, messag
 
 @pytest.mark.parametrize(("name", "content", "message"), [
     ("none.log", odom(0, 0, 0, 1.0).encode(), "no line of a laser scan; FLASER or ROBOTLASER1"),
+    ("table.log", b"1 2 3\n", ".* for slamref convert table .*table.log LOG"),
     ("empty.log", b"", "no line of a laser scan"),
     ("late.log", f"{FIRST}\n{odom(0, 0, 0, 1.0)}\n".encode(), "no scan after the first ODOM line"),
     ("plain.log.gz", SMALL.encode(), "not a gzip file; compress it"),

@@ -105,6 +105,13 @@ def test_a_fault_is_asked_for_by_name_and_gone_with_its_flag(driven, load, fault
         assert asked(load(lines, **mending)) == set()
 
 
+def test_a_log_of_a_table_is_told_flags_of_tables(driven, load):
+    pose, stamp, ranges = driven
+    (question,) = ask(replace(load(text(_turned(pose), stamp, ranges[:, ::-1])), source={"kind": "table"}))
+    assert [flag.partition("=")[0] for flag in question.named["flags"]] == ["--scanner", "--sensor-pose"]
+    assert "`slamref convert table`" in sentence(question)
+
+
 @pytest.mark.parametrize(("unit", "times"), [("cm", 100.0), ("mm", 1000.0)])
 def test_ranges_in_another_unit_are_an_error_that_names_the_flag(driven, load, unit, times):
     pose, stamp, ranges = driven
