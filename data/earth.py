@@ -34,17 +34,22 @@ def east_north_up(place: Array, origin: Array) -> Array:
 
 def on_plane(file: Path, place: Array, datum: Sequence[float] = ()) -> tuple[Array, tuple[float, ...], str]:
     """Metres (N, 3) of places (N, 3) of a file about a datum, by default the first known one; that datum, and a note
-    where it is new. A height of NaN is the datum's. DataError for what is no latitude and longitude in degrees.
+    where it is new, or they were ddmm.mmmm (NMEA 0183). A height of NaN is the datum's. DataError for what is no
+    latitude and longitude.
     """
-    known = np.isfinite(place[:, :2]).all(axis=1)
-    if not (np.abs(place[known, :2]) <= [90.0, 360.0]).all():
-        raise DataError.at(file, "latitudes beyond 90 or longitudes beyond 360; degrees are needed")
+    known, said = np.isfinite(place[:, :2]).all(axis=1), ""
+    size = np.abs(place[:, :2])
+    if not (size[known] <= [90.0, 360.0]).all():
+        if not ((size[known] % 100.0 < 60.0) & (size[known] < [9000.0, 18000.0])).all():
+            raise DataError.at(file, "latitudes beyond 90 or longitudes beyond 360; degrees, or ddmm.mmmm, are needed")
+        place = np.hstack([np.sign(place[:, :2]) * (size // 100.0 + size % 100.0 / 60.0), place[:, 2:]])
+        said = "inferred: latitudes and longitudes are degrees and minutes (ddmm.mmmm), as they are no degrees; "
     if not known.any():
         return np.full(place.shape, np.nan), tuple(datum), ""
-    said, (lat, lon, height) = "", place[known][0].tolist()
+    lat, lon, height = place[known][0].tolist()
     if not datum:
         datum = lat, lon, 0.0 if np.isnan(height) else height
-        said = f"x and y are metres east and north of latitude and longitude {lat:.9g}, {lon:.9g} deg"
+        said += f"x and y are metres east and north of latitude and longitude {lat:.9g}, {lon:.9g} deg"
     origin = np.array([*datum, 0.0][:3])
     height = np.where(np.isnan(place[:, 2:]), origin[2], place[:, 2:])
     return east_north_up(np.hstack([place[:, :2], height]), origin), tuple(datum), said

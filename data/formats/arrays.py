@@ -1,6 +1,6 @@
 """Files of arrays as tables: MATLAB's, and numpy's without pickles."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -47,10 +47,13 @@ def named(path: Path) -> dict[str, Any]:
         ) from None
 
 
-def columns_of(path: Path) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
+def columns_of(
+    path: Path, stated: Collection[str] = (), odometry: int = 0
+) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
     """Names and rows: vectors as columns, blank below their ends: NAME, of a matrix NAME_1, NAME_2, ... (of a `WIDE`
     one its rows), of a struct STRUCT.FIELD, or FIELD where it is the only one; of structs and matrices in arrays see
-    `_listed`; of FILE:STRUCT those of one struct. DataError for a file without numbers.
+    `_listed`; of FILE:STRUCT those of one struct; of arrays of three dimensions those `stated` (`_solid`), of an
+    odometry of so many rows. DataError for a file without numbers.
     """
     path, word = file_and_word(path)
     found = named(path)
@@ -60,9 +63,16 @@ def columns_of(path: Path) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]
         columns |= _unrolled("" if alone and isinstance(value, dict | list) else name, value)
     if word and (own := {k.removeprefix(f"{word}."): c for k, c in columns.items() if k.startswith(f"{word}.")}):
         columns = own
+    lengths, deep = {odometry, *map(len, columns.values())}, {n: a for n, a in found.items() if np.ndim(a) == 3}
+    for name in (n for n in deep if any(column.startswith(f"{n}_") for column in stated)):
+        columns |= _solid(path, name, deep[name], lengths)
     rows = tuple(zip_longest(*columns.values(), fillvalue=""))
     if not rows:
-        raise DataError.at(path, f"no vector of numbers; it has {', '.join(found) or 'nothing'}")
+        solid = [
+            f"{name} ({_by(a.shape)}; as in --columns range={name}_1,bearing={name}_2)" for name, a in deep.items()
+        ]
+        has = ", ".join([*(n for n in found if n not in deep), *solid])
+        raise DataError.at(path, f"no vector of numbers; it has {has or 'nothing'}")
     return tuple(columns), rows
 
 
@@ -82,6 +92,30 @@ def _unrolled(name: str, value: Any) -> Columns:
         return {}
     table = value.reshape(-1, 1) if 1 in value.shape or value.ndim < 2 else value
     return _numbered(name, table.T if len(table) <= WIDE[0] and len(table.T) >= WIDE[1] else table)
+
+
+def _solid(path: Path, name: str, value: Array, lengths: Collection[int]) -> Columns:
+    """NAME_1_1, NAME_1_2, ... of an array of three dimensions, and NAME.element, which counts its rows: they are along
+    the only dimension of `lengths`, or one that is `LONG` times as long as the others.
+    """
+    along = [axis for axis, count in enumerate(value.shape) if count in lengths]
+    if len(along) != 1:
+        along = [int(np.argmax(value.shape))] * (max(value.shape) >= LONG * sorted(value.shape)[1])
+    if not along:
+        what = "which dimension counts the rows of the odometry? A matrix (rows, all numbers of a row) is needed"
+        raise DataError.at(path, f"{name} is {_by(value.shape)}: {what}")
+    rows = np.moveaxis(value, along[0], 0)
+    names = {(i, j): f"{name}_{i + 1}_{j + 1}" for i, j in np.ndindex(rows.shape[1:])}
+    return {f"{name}.{ELEMENT}": [str(k) for k in range(len(rows))]} | {
+        of: [repr(float(v)) for v in rows[:, i, j]] for (i, j), of in names.items()
+    }
+
+
+LONG = 8  # Times as long as the others is a dimension of rows
+
+
+def _by(shape: Sequence[int]) -> str:
+    return " x ".join(map(str, shape))
 
 
 def _numbered(name: str, table: Array) -> Columns:

@@ -68,8 +68,10 @@ def stamps(log: Log) -> list[Notice]:
         return []
     elif gap >= FAST_FRAMES:
         # of poses that are interpolated: the slowest of robots, hardly moving and hardly turning
-        rate = np.abs(inputs.increments.mean[1:]) / np.diff(inputs.time)[:, None]
-        crawls = (np.quantile(rate, 0.9, axis=0) < CRAWL).all() and np.abs(inputs.increments.mean[:, :2]).sum() > 1.0
+        way = np.abs(inputs.increments.mean[1:])
+        rate = way / np.diff(inputs.time)[:, None]
+        crawls = (np.quantile(rate, 0.9, axis=0) < CRAWL).all() and way[:, :2].sum() > 1.0
+        crawls &= (np.sum(rate * way, axis=0) <= CRAWL * np.sum(way, axis=0)).all()  # whatever pauses there are
         # increments across gaps of the odometry: no motion, and an isotropic covariance
         mean, P = inputs.increments.mean[1:], inputs.increments.covariance[1:]
         still = ~mean.any(axis=1) & (P[:, 0, 0] == P[:, 1, 1]) & (P[:, 0, 0] > 1e-6)

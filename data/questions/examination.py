@@ -14,11 +14,12 @@ import numpy as np
 
 from data.log import ODOMETRY_KIND, ODOMETRY_PERIOD, Log
 from data.notice import Code, Notice, notice
+from data.pose_measurements import FixKind
 from data.questions import readings, witnesses
 from data.questions.flags import flags_of
 from data.questions.readings import DEG, SMALL_NOISE, TINY, Kind, Numbered, Part, Reading
 from data.questions.witnesses import EXACT, FEWEST, WEIGHT, WITNESSES, Case, Samples, by_nearest, case_of, changes
-from data.se2 import Array, between, compose, inverse, rigid_fit, transform_points
+from data.se2 import Array, between, compose, dead_reckoned, inverse, rigid_fit, transform_points
 
 LEFT = 2.0  # Above this multiple of the stated noise parts contradict each other under a reading, too: pairs are tried
 CLEAR = 20.0  # Least gain of a reading in log-likelihood
@@ -80,10 +81,8 @@ class Examination:
                     continue
                 more = f.cost - g.cost if not f.agrees else min(f.cost - g.cost, 0.0)
                 if self.before and f.noise < witnesses.LOUDEST:  # a second one gains nothing by larger motions
-                    more = min(
-                        more,
-                        min(f.count, WEIGHT) * math.log((f.off * g.noise + TINY) / (f.noise * g.off + TINY)),
-                    )
+                    by_noise = math.log((f.off * g.noise + TINY) / (f.noise * g.off + TINY))
+                    more = min(more, min(f.count, WEIGHT) * by_noise)
                 gain += more
                 sharp += min(f.count, g.count, WEIGHT) * math.log((f.off + EXACT) / (g.off + EXACT))
                 left |= g.off > LEFT * g.noise
@@ -134,14 +133,8 @@ class Examination:
             for by in sorted({-1, 1, int(first), int(last)} - {0}):
                 yield self.judged(Reading(Kind.SHIFTED, "ids", readings.shifted(by), number=float(by)))
             if c.truth is not None and (fit := readings.frame_of(c, self.samples.some)) is not None:
-                yield self.judged(
-                    Reading(
-                        Kind.FRAME,
-                        Part.TRUTH,
-                        readings.truly(lambda pose: compose(fit, pose)),
-                        carry=tuple(fit.tolist()),
-                    )
-                )
+                moved = readings.truly(lambda pose: compose(fit, pose))
+                yield self.judged(Reading(Kind.FRAME, Part.TRUTH, moved, carry=tuple(fit.tolist())))
 
     def clocks(self) -> Iterator[Explained]:
         """The best offset of each part's stamps."""
@@ -682,9 +675,33 @@ def _as_well(e: Explained, best: Explained) -> bool:
     return near or e.gain >= best.gain - max(2.0, CLOSE * best.gain)
 
 
+def _mirrored(log: Log) -> list[Explained]:
+    """Odometry that turns to the other side than fixes: its mirror image fits these, stretch by stretch."""
+    r, fixes, square = log.recorded, log.recorded.fixes, list[list[float]]()
+    rows = np.zeros(0, int) if fixes is None else np.flatnonzero(fixes.kind != FixKind.HEADING)
+    if fixes is None or len(rows) < FEWEST * STRETCHES:
+        return []
+    path = dead_reckoned(np.zeros(3), r.increments.mean)[:, :2]
+    for some in np.array_split(rows, STRETCHES):
+        place, own = fixes.z[some, :2], path[fixes.frame[some]]
+        off = [p - place for p in (transform_points(rigid_fit(q, place), q) for q in (own, own * [1.0, -1.0]))]
+        square.append([float(np.sum(d**2)) for d in (*off, place - place.mean(axis=0))])
+    each = np.array(square)
+    stated, fits = np.sqrt(each[:, :2].sum(axis=0) / max(each[:, 2].sum(), TINY)).tolist()
+    better = float(np.mean(each[:, 1] < PLAIN**2 * each[:, 0]))
+    if stated < SLIGHT or fits > min(PLAIN * stated, POOR) or better <= 0.5:
+        return []
+    ticks = log.source.get(ODOMETRY_KIND) == "ticks"
+    kind, of = (Kind.EXCHANGED, "left and right") if ticks else (Kind.SIDE, "odometry's mirror")
+    return _told(kind, of, "fixes and odometry", stated, fits)
+
+
+STRETCHES = 8  # Parts of a log; in each odometry drifts little
+
+
 def contradictions(log: Log) -> list[Notice]:
     """A question about parts of a log that contradict each other, and agree if they are read otherwise."""
-    found = explanations(case_of(log))
+    found = explanations(case_of(log)) or _mirrored(log)
     # of a laser log the scans tell lengths of the odometry from all lengths
     if not found or (found[0].witness == SIZE and log.recorded.scans is not None):
         return []

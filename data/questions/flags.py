@@ -6,13 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from data.log import ODOMETRY_KIND, TRUTH_POSE, Log
-from data.questions.readings import (
-    DEG,
-    SMALL_NOISE,
-    Kind,
-    Part,
-    Reading,
-)
+from data.questions.readings import DEG, SMALL_NOISE, Kind, Part, Reading
 from data.se2 import Array, compose, inverse, wrap_angle
 from data.sensors import RELATIVE_POINT
 
@@ -48,7 +42,8 @@ def flags_of(r: Reading, log: Log) -> tuple[str, ...]:
         "bearing and omega": f"{angles},{bearings}", "truth and map": "truth.y,truth.theta,map.y",
         "truth's mirror": "truth.y,truth.theta", "v and omega": "odometry.v,odometry.omega",
         "range and bearing": "observations.range,observations.bearing", "x and y of the map": "map.x,map.y",
-        "x and y of the truth": "truth.x,truth.y",
+        "x and y of the truth": "truth.x,truth.y", "left and right": "odometry.left,odometry.right",
+        "odometry's mirror": ",".join([*lengths.split(",")[1:], angles]),
     }  # fmt: skip
     if r.of == "everything" and r.unit == "min":
         return ("--unit time=min",)

@@ -148,12 +148,14 @@ def _separator(lines: Sequence[str]) -> str:
     return held[0] if held else ","
 
 
-def read_text(path: Path) -> TextTable:
-    """The file's rows, of FILE:WORD those with that word; DataError if unreadable, binary, empty, or unequal."""
+def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0) -> TextTable:
+    """The file's rows, of FILE:WORD those with that word; DataError if unreadable, binary, empty, or unequal. `stated`:
+    names of columns; `odometry`: rows of it; both for arrays.
+    """
     if len(parts := parts_of(path)) > 1:
         return _joined(path, parts)
     if is_arrays(path):
-        columns, values = columns_of(path)
+        columns, values = columns_of(path, stated, odometry)
         return TextTable(path, columns, values, np.arange(1, len(values) + 1), named=True)
     file, word = file_and_word(path)
     try:
@@ -289,7 +291,8 @@ def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
 
 def _observed(row: Sequence[str], of: Mapping[str, int]) -> bool:
     values = {q: float(row[j]) if is_number(row[j]) else math.nan for q, j in of.items() if q in STARRED}
-    return all(map(math.isfinite, values.values())) and values.get("range", 1.0) > 0.0
+    there = values.get("range", 1.0) > 0.0 and (values.get("x", 1.0), values.get("y", 1.0)) != (0.0, 0.0)
+    return there and all(map(math.isfinite, values.values()))
 
 
 SLOTS = 3  # Least different numbers of filled columns, from the left always, which no landmarks in sight would make
@@ -307,6 +310,23 @@ def stars(file: TextTable) -> dict[str, str]:
             usual["label"] += ("id",)
             found |= {q: f"{matched[1]}{matched[2]}*" for q, named in usual.items() if word in named}
     return found if {"range", "bearing"} <= set(found) and not {"range", "bearing"} & set(file.names) else {}
+
+
+def solid_stars(file: TextTable, stated: Mapping[str, str]) -> dict[str, str]:
+    """Names with a star by quantity that is stated as NAME_K of an array of three dimensions, one of which has as many
+    numbers as are stated. DataError for both, or none.
+    """
+    found = {}
+    for quantity, (stem, _, k) in ((q, n.rpartition("_")) for q, n in stated.items() if n not in file.names):
+        places = [m.groups() for n in file.names if (m := re.fullmatch(re.escape(stem) + r"_(\d+)_(\d+)", n))]
+        counts = [len(set(each)) for each in zip(*places, strict=True)]
+        alike = sum(n.rpartition("_")[0] == stem for n in stated.values())
+        if places and k.isdecimal() and counts.count(alike) != 1:
+            which = f"{quantity}={stem}_*_{k} or {quantity}={stem}_{k}_*: * counts what is seen at once"
+            raise DataError.at(file.path, f"{stem} has {counts[0]} x {counts[1]} numbers at each instant; name {which}")
+        if places and k.isdecimal():
+            found[quantity] = f"{stem}_*_{k}" if counts[1] == alike else f"{stem}_{k}_*"
+    return found
 
 
 ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}
@@ -644,6 +664,11 @@ class Columns:
                     self.notes.append(f"{file.path.name}: {q} is {said}: was nothing measured there? Leave them out")
         if earth:
             place = np.stack([values["y"], values["x"], 0.0 * values["x"]], axis=-1)
+            for k, (q, sides) in enumerate((("y", "NS"), ("x", "EW"))):  # the hemisphere, in the next column
+                half = np.array(file.text(beside := (columns[q] + 1) % len(file.names), keep))
+                if {*sides} >= set(half.tolist()):
+                    place[half == sides[1], k] = -np.abs(place[half == sides[1], k])
+                    self.read.add((file.path, beside))
             metres, datum, said = on_plane(file.path, place, self.datum)
             values |= {"x": metres[:, 0], "y": metres[:, 1]}
             self.datum[:] = datum[:2]

@@ -163,6 +163,7 @@ def read_odometry(
     if len(table) == 0:
         raise DataError.at(file.path, f"no row has {', '.join(quantities)}")
     notes = columns.notes
+    table = _without_strays(table, f"{file.path.name}: lines", notes, kind) if stamped and since is None else table
     time = table.columns["t"] if stamped else np.arange(len(table), dtype=float)
     instants = np.full(len(file), np.nan)
     instants[np.searchsorted(file.line, table.line)] = time
@@ -249,6 +250,22 @@ def _intervals(file: TextTable, columns: Columns, role: str) -> None:
 
 
 MANY, SOME = 20, 0.1  # Fewest rows, and least share of steps back, of a column of times that are no stamps
+
+
+def _without_strays(table: Table, lines: str, notes: list[str], kind: str) -> Table:
+    """Without a first or last row that a long pause parts from all others; of poses and ticks all pauses are noted."""
+    time, line = table.columns["t"], table.line.tolist()
+    step, last, kept = np.diff(time), len(time) - 2, np.ones(len(time), bool)
+    usual = float(np.median(step)) if len(step) > MANY else np.inf
+    for k in np.flatnonzero(step > max(PAUSE * usual, LONG)).tolist():
+        kept[[0, -1]] &= [k > 0, k < last]
+        left = f"; line {line[k and k + 1]} is left out" * (k in (0, last))
+        if left or kind not in STAMPED:
+            notes.append(f"{lines} {line[k]} and {line[k + 1]} are {step[k]:.6g} s apart, others {usual:.3g} s{left}")
+    return table.part(kept)
+
+
+PAUSE, LONG = 1000.0, 100.0  # Times the usual interval, and s, that rows of one drive are not apart
 
 
 def _rolled(ticks: Array, wheels: Wheels, time: Array) -> Array:

@@ -22,21 +22,7 @@ from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.messages import file_and_word
 from data.formats.recordings.laser import TravelNoise
 from data.formats.tables import files as table_files
-from data.formats.tables.files import (
-    IDS,
-    POSE,
-    ROLES,
-    SCANS,
-    SECOND,
-    STAMPED,
-    STARRED,
-    TRAVEL,
-    Columns,
-    Given,
-    TextTable,
-    Units,
-)
-from data.formats.tables.files import stars as stars_of
+from data.formats.tables.files import POSE, ROLES, SECOND, STAMPED, STARRED, TRAVEL, Columns, Given, TextTable, Units
 from data.formats.tables.layout import by_layout, seen_by_layout
 from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of, path_of
 from data.formats.tables.motion import STAMPED as STAMPED_KINDS
@@ -145,13 +131,13 @@ def sensors_of(given: Given, files: Mapping[str, TextTable], columns: Columns, k
     texts = {flag: by_sensor(given[flag], flag) for flag in OF_SENSORS if flag in given}
     for flag, found in texts.items():
         for name in found:
-            if name and name not in (*names, *[SCANS] * (flag == "sensor-pose" and SCANS in files)):
+            if name and name not in (*names, *[table_files.SCANS] * (flag == "sensor-pose" and table_files.SCANS in files)):
                 known = unknown(name, names) if names else f"no sensor; --{SENSOR} {name}=FILE names one"
                 raise UsageError(f"--{flag} {name}={found[name]}: {name!r} is {known}")
     texts[LENGTH] = {"": str(given[LENGTH])}
     roles = names or [role for role in (OBSERVATIONS,) if role in files]
     for flag, found in texts.items():
-        if not roles and flag not in (LENGTH, *["sensor-pose"] * (SCANS in files)):
+        if not roles and flag not in (LENGTH, *["sensor-pose"] * (table_files.SCANS in files)):
             raise UsageError(f"--{flag} {found.popitem()[1]}: no observations; --{OBSERVATIONS} FILE names them")
     truth = files.get("truth")
     taken = {role for role in roles if (kind == "poses" and files[role] is files["odometry"])
@@ -338,7 +324,9 @@ def settle(given: Given) -> Wanted:
     if given[LENGTH]:
         columns.notes.append(f"lengths of flags without a unit are in {given[LENGTH]}, as --unit states")
     # a file with several roles is read once
-    read = {path: table_files.read_text(path) for path in dict.fromkeys(files.values())}
+    read: dict[Path, TextTable] = {}
+    for path in dict.fromkeys(files.values()):
+        read[path] = table_files.read_text(path, named.values(), len(next(iter(read.values()), ())))
     texts = {role: read[path] for role, path in files.items()}
     columns.notes += [f"{path.name}: {table.cut}" for path, table in read.items() if table.cut]
     for role, table in texts.items():
@@ -364,16 +352,26 @@ def settle(given: Given) -> Wanted:
             units.given.update({f"{role}.{q}": unit for q, unit in of.items()})
             columns.notes.append(f"{files[role].name}: inferred: {told}, as which alone landmarks stand still")
     for role in (OBSERVATIONS, *several):
-        stated = {q: named.get(f"{role}.{q}", named.get(q, "")) for q in (*STARRED, *IDS)}
-        stars = {q: n for q, n in stated.items() if "*" in n}
-        if role in texts and not stars and not any(stated[q] for q in STARRED) and (stars := stars_of(texts[role])):
+        stated = {q: named.get(f"{role}.{q}", named.get(q, "")) for q in (*STARRED, *table_files.IDS)}
+        deep = table_files.solid_stars(texts[role], stated) if role in texts else {}
+        stars = {q: n for q, n in {**stated, **deep}.items() if "*" in n}
+        if deep:
+            told = f"in {len(texts[role])} rows; the odometry has {len(texts['odometry'])}"
+            columns.notes.append(f"inferred: --columns {','.join(f'{q}={n}' for q, n in deep.items())}, {told}")
+        if (
+            role in texts
+            and not stars
+            and not any(stated[q] for q in STARRED)
+            and (stars := table_files.stars(texts[role]))
+        ):
             columns.notes.append(f"inferred: --columns {','.join(f'{q}={n}' for q, n in stars.items())}")
         if role in texts and stars:
             texts[role] = table_files.unpivoted(texts[role], stars)
             if not {"label", "true_id"} & {*texts[role].names}:
                 told = "filled from the left, so they are no labels (--columns label=NAME* names some)"
                 columns.notes.append(f"inferred: columns {', '.join(stars.values())} are {told}")
-            columns.given = {k: n for k, n in columns.given.items() if n not in stars.values()}
+            taken = {*stars.values(), *(stated[q] for q in deep)}
+            columns.given = {k: n for k, n in columns.given.items() if n not in taken}
     for flag in ("hold", "integrate"):
         if flag in given and kind not in STAMPED_KINDS:
             raise UsageError(f"--{flag} {given[flag]}: for velocities; the odometry has {kind}")
@@ -395,7 +393,7 @@ def settle(given: Given) -> Wanted:
         sensed=bool(given.get("labels-sensed", False)),
         backward=table_files.one_of(given, "hold", ("forward", "backward")) == "backward", second=second,
         scanner=numbers_of(given, "scanner"),
-        mount=numbers_of({**given, "sensor-pose": poses.get(SCANS, poses.get(""))}, "sensor-pose"),
+        mount=numbers_of({**given, "sensor-pose": poses.get(table_files.SCANS, poses.get(""))}, "sensor-pose"),
         assumed=("odometry_noise",) * ("odometry-sigma" not in given) + ("prior",) * starts,
         **_of_fixes(given, files),
     )  # fmt: skip

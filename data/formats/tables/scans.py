@@ -43,6 +43,12 @@ def read_scans(
         if len(wide) == 1 and file.named:
             beams = [k for k, name in enumerate(file.names) if name in wide[0]]
             columns.notes.append(f"{file.path.name}: inferred: --columns scans.range={wide[0][0]}")
+    alone = None if beams or listed is not None or t else _alone(file, len(odometry.rows))
+    if alone is not None:
+        first, before = alone
+        beams, columns.given = list(range(first, len(file.names))), {**columns.given, **before}
+        told = ",".join(f"{k}={v}" for k, v in [*before.items(), ("scans.range", first + 1)])
+        columns.notes.append(f"{file.path.name}: inferred: --columns {told}")
     if not beams and listed is None:
         what = f"no scans: {file.described()}; columns such as range0, range1 are needed"
         raise DataError.at(file.path, f"{what}, or --columns scans.range=N: all from the N-th on")
@@ -54,7 +60,7 @@ def read_scans(
         what = f"{len(beams)} beams, {math.degrees(scanner[1]):.4g} deg apart, pass a full turn"
         raise UsageError(f"--scanner: {what}; are there intensities between the ranges? Leave their columns out")
     if stamp is None:
-        stamped = t is not None or len(file) != len(odometry.rows)
+        stamped = bool(alone[1]) if alone else t is not None or len(file) != len(odometry.rows)
         stamp = columns.stamps(file, "scans", np.ones(len(file), bool)) if stamped else odometry.rows
     found, header = Collected(), SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0), frame_id="laser")
     given = {} if scanner is None else dict(zip(STATED, scanner.tolist(), strict=True))
@@ -97,3 +103,22 @@ def _folded(file: TextTable, beam: int, columns: Columns, odometry: Odometry) ->
     rows = tuple((*file.rows[k], *(r[beam] for r in file.rows[k + 1 : k + each])) for k in range(0, count, each))
     file, beams = replace(file, names=names, rows=rows, line=file.line[:count:each]), range(len(file.names), len(names))
     return file, [beam, *beams], stamp
+
+
+def _alone(file: TextTable, rows: int) -> tuple[int, dict[str, str]] | None:
+    """First column of the ranges in a file without names that holds nothing else, but before them stamps, whose column
+    is stated then, or row numbers; without stamps as many rows as the odometry's.
+    """
+    if file.named or len(file.names) < BEAMS or not all(is_number(f or "0") for row in file.rows for f in row):
+        return None
+    values = np.nan_to_num(np.array([[f or "0" for f in row] for row in file.rows], float), posinf=0.0)
+    step = np.diff(values[:, 0])
+    before = len(step) >= FEWEST and bool((step > 0.0).all())
+    stamped = before and not (len(values) == rows and values[0, 0] in (0.0, 1.0) and (step == 1.0).all())
+    apart = np.median(np.abs(np.diff(values[:, before:])), axis=0)  # of neighbours, which are alike
+    ends = max(apart[:FEWEST].max(), apart[-FEWEST:].max())
+    fine = (values[:, before:] >= 0.0).all() and ends <= apart[FEWEST:-FEWEST].max()
+    return (int(before), {"scans.t": "1"} if stamped else {}) if fine and (stamped or len(values) == rows) else None
+
+
+FEWEST = 8  # Least steps forward that no ranges make; columns at both ends that are compared with the others

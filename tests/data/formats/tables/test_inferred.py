@@ -122,6 +122,27 @@ def test_fixes_tell_the_start_and_files_side_by_side_are_one_table(convert):
     assert (log.origins["prior"], "inferred: --prior=" in said) == (Origin.INFERRED, True)
 
 
+def test_a_row_of_zeros_an_odometry_to_the_other_side_and_fixes_of_a_gps_receiver(convert):
+    """x north, y east, headings clockwise, behind a row of zeros; latitudes of the south as ddmm.mmmm."""
+    turned = np.column_stack([T, POSE[:, [1, 0]], 0.5 * np.pi - THETA])
+    rows = np.vstack([np.zeros(4), turned + [5e4, 0.0, 0.0, 0.0]])
+    places = [f"{5e4 + t},{4830.0 - y / 1853.51:.7f},S,{212.0 + x / 1231.2:.7f},E" for t, (x, y, _) in zip(T, POSE)][
+        ::3
+    ]
+    files = {"o.csv": text("t,x,y,theta", rows), "gps.csv": "\n".join(["t,lat,ns,lon,ew", *places])}
+    words = ("table", "o.csv", "out", "--fixes", "gps.csv", "--fix-sigma", "0.1,0.1")
+    log, said = convert(files, *words)
+    assert "o.csv: lines 2 and 3 are 50000 s apart, others 0.1 s; line 2 is left out" in said
+    assert log.recorded.time[0] == 5e4
+    assert log.recorded.fixes.z[:, :2] == pytest.approx(POSE[::3, :2], abs=0.1)
+    assert "`--unit odometry.y=-m,odometry.theta=-rad` of `slamref convert table`) (contradiction)" in said
+    assert "warning" not in convert(files, *words, "--unit", "odometry.y=-m,odometry.theta=-rad")[1]
+    turned[150:, 0] += 5e3
+    said = convert(files | {"o.csv": text("t,x,y,theta", turned)}, *words, "--time-offset", "fixes=-5e4")[1]
+    assert "lines 151 and 152 are 5000.1 s apart, others 0.1 s" in said
+    assert "time unit" not in said
+
+
 def test_a_folder_of_observations_a_file_for_each_row(convert, tmp_path):
     """Rows without stamps at a stated period; observations are points in the sensor's frame."""
     (tmp_path / "seen").mkdir()

@@ -80,6 +80,21 @@ def test_scans_of_a_table_are_those_of_a_laser_log(read, named):
     assert (r.scans.scanner.max_range, r.scans.scanner.angle_step) == pytest.approx((20.0, STEP))
 
 
+def test_scans_without_names_alone_or_behind_row_numbers_or_stamps_are_known(read, unread):
+    far = [line.rsplit(",", 1)[0] for line in scans(named=False).splitlines()]
+    files = {"odo.csv": "\n".join(ODOMETRY.splitlines()[:21])}
+    for told, before in (("range=1", ""), ("range=2", "{},"), ("t=1,scans.range=2", "17000000{:02d}.25,")):
+        files["scan.csv"] = "\n".join(before.format(k) + line for k, line in enumerate(far))
+        log, said = read(files, "--scans", "scan.csv", "--scanner=-180deg,10deg,20")
+        assert f"inferred: --columns scans.{told}" in said
+        assert (
+            log.recorded.scans.ranges.tolist()
+            == [list(map(float, r.split(","))) for r in far][: len(log.recorded.scans.frame)]
+        )
+    for refused in (scans(named=False), "\n".join(far[1:])):  # stamps behind, or other rows than the odometry
+        assert "or --columns scans.range=N" in unread(files | {"scan.csv": refused}, "--scans", "scan.csv")
+
+
 @pytest.mark.parametrize(("text", "words", "wanted"), [
     ("t,a,b\n0,1,2\n1,1,2\n", (), "columns such as range0, range1 are needed"),
     ("t,range0,range1\n0,1,2\n1,1,2\n", (), "--scanner LOW,STEP,MAX"),
@@ -146,6 +161,33 @@ def test_ranges_in_one_column_are_as_many_for_each_pose_and_the_scanner_has_a_pl
     files["s.csv"] = "t,range\n" + "".join([*rows[:5], "1,9\n", *rows[6:]])
     assert "how many are a scan?" in unread(files, "--scans", "s.csv", "--scanner", "0,0.1,70")
     assert "--view -1,1: no observations" in unread(files, "--scans", "s.csv", "--view", "-1,1")
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 2), (2, 0, 1)])
+def test_arrays_of_landmarks_their_numbers_and_rows(convert, tmp_path, order):
+    z = np.stack([np.full((3, 40), 0.1), np.arange(3.0)[:, None] + np.full((3, 40), 4.0)], axis=1)
+    z[1:, :, ::2], z[0, :, 5] = 0.0, np.nan
+    savemat(tmp_path / "z.mat", {"z": z.transpose(order)})
+    sigmas = ("--odometry-sigma", "0.05,2deg", "--observation-sigma", "0.1,1deg")
+    words = ("table", "o.csv", "out", "--observations", "z.mat", *sigmas)
+    log, said = convert({"o.csv": WHEELS}, *words, "--columns", "bearing=z_1,range=z_2")
+    assert "in 40 rows; the odometry has 60" in said
+    o = log.recorded.observations
+    assert [(k, z.tolist()) for k, z in zip(log.label, o.z, strict=True)][:5] == [
+        (1, [4.0, 0.1]), (1, [4.0, 0.1]), (2, [5.0, 0.1]), (3, [6.0, 0.1]), (1, [4.0, 0.1])
+    ]  # fmt: skip
+    assert np.bincount(np.round(10 * log.recorded.time[o.frame]).astype(int)).tolist() == [
+        1,
+        3,
+        1,
+        3,
+        1,
+        2,
+        *[1, 3] * 17,
+    ]
+    assert "as in --columns range=z_1,bearing=z_2" in convert({}, *words, status=2)
+    savemat(tmp_path / "z.mat", {"z": np.ones((40, 2, 40))})
+    assert "which dimension" in convert({}, *words, "--columns", "bearing=z_1,range=z_2", status=2)
 
 
 def test_arrays_of_one_file_may_end_at_different_rows(convert, tmp_path):

@@ -87,8 +87,8 @@ def test_a_place_in_degrees_is_metres_east_and_north_of_the_first_one(table):
     assert log.recorded.fixes.z[:, :2] == pytest.approx(np.array([[0.0, 0.0], [111.31949, 110.5743]]), rel=1e-6)
     assert log.truth.pose[-1, 0] == pytest.approx(222.63898, rel=1e-6)
     assert log.source["datum"] == [0.0, 10.0]
-    wrong = {"fixes": "t,lat,lon\n1,4800,10\n"}
-    assert "degrees are needed" in table(POSES, wrong, "--fix-sigma", "1,1", status=2)
+    wrong = {"fixes": "t,lat,lon\n1,4870,10\n"}
+    assert "are needed" in table(POSES, wrong, "--fix-sigma", "1,1", status=2)
 
 
 @pytest.mark.parametrize("form", ["structs", "vectors"])
