@@ -148,14 +148,12 @@ class Log:
         if truth.relations is not None:
             measured.append(("reference relations", str(len(truth.relations))))
         return [
-            ("frames", f"{len(r)} ({span})"),
-            ("observations", str(len(r.observations.frame))),
-            *measured,
+            ("frames", f"{len(r)} ({span})"), ("observations", str(len(r.observations.frame))), *measured,
             ("sensor", ", ".join(f"{s.label} ({s.name})" for s in r.sensors) or r.sensor.name),
             ("map", "none" if r.map is None else f"{len(r.map.id)} landmarks"),
             ("truth", f"in {truth.known_poses} frames" if truth.known_poses else "none"),
             ("labels", "yes" if self.has_labels else "none"),
-        ]
+        ]  # fmt: skip
 
     def __repr__(self) -> str:
         return "\n".join([f"Log {self.name}", *(f"  {what}: {value}" for what, value in self._facts())])

@@ -291,13 +291,11 @@ class Run(Locked):
     def _repr_html_(self) -> str:
         """Notebook view: settings, status, and numbers of things."""
         facts = [
-            ("task", self.task),
-            ("association", self.association),
-            ("status", self.status),
+            ("task", self.task), ("association", self.association), ("status", self.status),
             ("frames", str(len(self.trajectory(self.phases[0]).pose)) if self.phases else "0"),
             ("phases", ", ".join(self.phases)),
             ("observations used", f"{int((self.final_decisions >= 0).sum())} of {len(self.final_decisions)}"),
-        ]
+        ]  # fmt: skip
         if self.map is not None:
             facts.append(("landmarks", str(len(self.map))))
         if self.flaw is not None:

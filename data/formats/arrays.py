@@ -63,14 +63,13 @@ def columns_of(
         columns |= _unrolled("" if alone and isinstance(value, dict | list) else name, value)
     if word and (own := {k.removeprefix(f"{word}."): c for k, c in columns.items() if k.startswith(f"{word}.")}):
         columns = own
-    lengths, deep = {odometry, *map(len, columns.values())}, {n: a for n, a in found.items() if np.ndim(a) == 3}
+    lengths = set(map(len, columns.values()))
+    deep = {name: value for name, value in found.items() if np.ndim(value) == 3 and kind_of(value) == "numbers"}
     for name in (n for n in deep if any(column.startswith(f"{n}_") for column in stated)):
-        columns |= _solid(path, name, deep[name], lengths)
+        columns |= _solid(path, name, deep[name], odometry, lengths)
     rows = tuple(zip_longest(*columns.values(), fillvalue=""))
     if not rows:
-        solid = [
-            f"{name} ({_by(a.shape)}; as in --columns range={name}_1,bearing={name}_2)" for name, a in deep.items()
-        ]
+        solid = [f"{n} {np.shape(a)}, as in --columns range={n}_1,bearing={n}_2" for n, a in deep.items()]
         has = ", ".join([*(n for n in found if n not in deep), *solid])
         raise DataError.at(path, f"no vector of numbers; it has {has or 'nothing'}")
     return tuple(columns), rows
@@ -94,28 +93,24 @@ def _unrolled(name: str, value: Any) -> Columns:
     return _numbered(name, table.T if len(table) <= WIDE[0] and len(table.T) >= WIDE[1] else table)
 
 
-def _solid(path: Path, name: str, value: Array, lengths: Collection[int]) -> Columns:
+def _solid(path: Path, name: str, value: Array, odometry: int, lengths: Collection[int]) -> Columns:
     """NAME_1_1, NAME_1_2, ... of an array of three dimensions, and NAME.element, which counts its rows: they are along
-    the only dimension of `lengths`, or one that is `LONG` times as long as the others.
+    the only dimension as long as the odometry, or `LONG` times as long as the others, or as some other array is.
     """
-    along = [axis for axis, count in enumerate(value.shape) if count in lengths]
-    if len(along) != 1:
-        along = [int(np.argmax(value.shape))] * (max(value.shape) >= LONG * sorted(value.shape)[1])
-    if not along:
+    longest = np.argmax(value.shape) if max(value.shape) >= LONG * sorted(value.shape)[1] else None
+    counts = [(n == odometry, axis == longest, n in lengths) for axis, n in enumerate(value.shape)]
+    along = next((axes.index(True) for axes in zip(*counts, strict=True) if axes.count(True) == 1), None)
+    if along is None:
         what = "which dimension counts the rows of the odometry? A matrix (rows, all numbers of a row) is needed"
-        raise DataError.at(path, f"{name} is {_by(value.shape)}: {what}")
-    rows = np.moveaxis(value, along[0], 0)
-    names = {(i, j): f"{name}_{i + 1}_{j + 1}" for i, j in np.ndindex(rows.shape[1:])}
-    return {f"{name}.{ELEMENT}": [str(k) for k in range(len(rows))]} | {
-        of: [repr(float(v)) for v in rows[:, i, j]] for (i, j), of in names.items()
-    }
+        raise DataError.at(path, f"{name} has shape {value.shape}: {what}")
+    rows = np.moveaxis(value, along, 0)
+    found = {f"{name}.{ELEMENT}": [str(k) for k in range(len(rows))]}
+    for i, j in np.ndindex(rows.shape[1:]):
+        found[f"{name}_{i + 1}_{j + 1}"] = [repr(float(v)) for v in rows[:, i, j]]
+    return found
 
 
 LONG = 8  # Times as long as the others is a dimension of rows
-
-
-def _by(shape: Sequence[int]) -> str:
-    return " x ".join(map(str, shape))
 
 
 def _numbered(name: str, table: Array) -> Columns:

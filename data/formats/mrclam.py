@@ -500,18 +500,14 @@ def robot_log(
         "calibration": asdict(calibration), "sha256": dict(sorted(files.sha256.items())),
     }  # fmt: skip
     return Log(
-        name=f"{files.name.lower().replace('_dataset', '')}-robot{robot}",
-        recorded=recorded,
-        truth=Truth(pose, recorded.map, seen),
-        labels_are_sensed=True,
-        source=provenance,
-        notes=tuple(notes),
+        name=f"{files.name.lower().replace('_dataset', '')}-robot{robot}", recorded=recorded,
+        truth=Truth(pose, recorded.map, seen), labels_are_sensed=True, source=provenance, notes=tuple(notes),
         origins={
             "odometry_noise": _origin(calibration, "motion"),
             "observation_noise": _origin(calibration, "sigma_range", "sigma_range_growth", "sigma_bearing"),
             "prior": Origin.ASSUMED if treatment.prior_sigma == Treatment.prior_sigma else Origin.GIVEN,
         },
-    )
+    )  # fmt: skip
 
 
 def _origin(calibration: Calibration, *names: str) -> Origin:

@@ -194,13 +194,10 @@ class Examination:
 
 
 SCALED: Mapping[str, Numbered] = {
-    "v": readings.faster,
-    "omega": readings.turning,
-    "v and omega": readings.rates,
-    "range": lambda k: readings.seen_as(k, 1.0),
-    Part.MAP: lambda k: readings.on_map(k * np.eye(2)),
+    "v": readings.faster, "omega": readings.turning, "v and omega": readings.rates,
+    "range": lambda k: readings.seen_as(k, 1.0), Part.MAP: lambda k: readings.on_map(k * np.eye(2)),
     Part.TRUTH: lambda k: readings.truly(lambda p: p * [k, k, 1.0]),
-}
+}  # fmt: skip
 """Quantities that may have another scale."""
 SCALES = np.linspace(-7.2, 7.2, 37)  # Logarithms of scales that are tried first
 CLOCKS, FARTHEST, TURNS = np.linspace(-6.0, 6.0, 31), 150.0, np.linspace(-165.0, 180.0, 24)
@@ -689,14 +686,17 @@ def _mirrored(log: Log) -> list[Explained]:
     each = np.array(square)
     stated, fits = np.sqrt(each[:, :2].sum(axis=0) / max(each[:, 2].sum(), TINY)).tolist()
     better = float(np.mean(each[:, 1] < PLAIN**2 * each[:, 0]))
-    if stated < SLIGHT or fits > min(PLAIN * stated, POOR) or better <= 0.5:
+    if stated < SLIGHT or fits > SHARP * min(stated, PLAIN) or better <= 0.5:
         return []
     ticks = log.source.get(ODOMETRY_KIND) == "ticks"
     kind, of = (Kind.EXCHANGED, "left and right") if ticks else (Kind.SIDE, "odometry's mirror")
     return _told(kind, of, "fixes and odometry", stated, fits)
 
 
-STRETCHES = 8  # Parts of a log; in each odometry drifts little
+STRETCHES, SHARP = (
+    8,
+    0.33,
+)  # Parts of a log, in each of which odometry drifts little; as `PLAIN`, since a bias turns, too
 
 
 def contradictions(log: Log) -> list[Notice]:

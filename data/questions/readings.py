@@ -269,10 +269,8 @@ READINGS: tuple[Reading, ...] = (
     *(Reading(Kind.UNIT, "v", faster(k), unit) for unit, k in SPEEDS.items()),
     Reading(Kind.SIDE, "v", lambda c: c if c.kind == "poses" else faster(-1.0)(c)),
     *(Reading(Kind.UNIT, "omega", turning(k), unit) for unit, k in TURNING.items()),
-    Reading(Kind.SIDE, "omega", turning(-1.0)),
-    Reading(Kind.SUMMED, "omega", _since(1)),
-    Reading(Kind.SUMMED, "v", _since(0)),
-    Reading(Kind.SUMMED, "v and omega", _since(0, 1)),
+    Reading(Kind.SIDE, "omega", turning(-1.0)), Reading(Kind.SUMMED, "omega", _since(1)),
+    Reading(Kind.SUMMED, "v", _since(0)), Reading(Kind.SUMMED, "v and omega", _since(0, 1)),
     Reading(Kind.UNIT, "v and omega", lambda c: rates(60.0)(c) if c.kind == "velocities" else c, "min"),
     Reading(Kind.EXCHANGED, "v and omega", lambda c: replace(c, u=se2.along_arcs(*_arcs(c)[::-1]))),
     *(Reading(Kind.UNIT, "range", seen_as(k, 1.0), unit) for unit, k in METRES.items() if unit != "km"),
@@ -281,8 +279,7 @@ READINGS: tuple[Reading, ...] = (
     Reading(Kind.SIDE, "bearing and omega", lambda c: turning(-1.0)(seen_as(1.0, -1.0)(c))),
     Reading(Kind.EXCHANGED, "range and bearing", _swapped),
     Reading(Kind.EXCHANGED, "range and bearing", lambda c: seen_as(1.0, DEG)(_swapped(c)), "deg"),
-    Reading(Kind.WORLD, "bearing", lambda c: replace(c, world=True)),
-    Reading(Kind.WORLD, "places", _from_places),
+    Reading(Kind.WORLD, "bearing", lambda c: replace(c, world=True)), Reading(Kind.WORLD, "places", _from_places),
     Reading(Kind.UNIT, "stamps of observations", lambda c: replace(c, at=60.0 * c.at), "min"),
     # of two parts alone the same as v to the other side
     Reading(Kind.TURNED, "sensor", turned_by(180.0), number=180.0),
@@ -298,4 +295,4 @@ READINGS: tuple[Reading, ...] = (
     Reading(Kind.SIDE, "truth's mirror", truly(lambda p: p * [1.0, -1.0, -1.0])),
     Reading(Kind.COMPASS, "truth.theta", truly(lambda p: p * [1.0, 1.0, -1.0] + 0.5 * np.pi * ABOUT)),
     Reading(Kind.EXCHANGED, "x and y of the truth", truly(lambda p: p[:, [1, 0, 2]])),
-)
+)  # fmt: skip

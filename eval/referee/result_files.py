@@ -272,55 +272,37 @@ DECISION_COUNTS = File(
     (*RUN, *(measured(m) for m in OF_DECISIONS)),
 )
 CONSISTENCY = File(
-    "consistency.csv",
-    "Verdicts of Monte Carlo studies, one row per estimator and quantity.",
-    (
-        text("scenario", "name of the study"),
-        ESTIMATOR,
+    "consistency.csv", "Verdicts of Monte Carlo studies, one row per estimator and quantity.", (
+        text("scenario", "name of the study"), ESTIMATOR,
         text(
             "quantity",
             "`pose`, `position`, `heading`, `landmarks`: NEES; `nis`: NIS per dof; `whiteness`: lag-1 correlation of"
             " innovations; `coverage_...`: share of last positions inside that ellipse; `covers_...`: share of runs"
             " whose systematic error is inside its 95 % interval",
         ),
-        count("dof", "degrees of freedom, the expected mean"),
-        count("runs", "runs without failures"),
+        count("dof", "degrees of freedom, the expected mean"), count("runs", "runs without failures"),
         Column("mean", "mean of the runs' means; for coverages the share"),
         *(Column(name, "95 % bounds of the mean") for name in ("lower", "upper")),
         text("verdict", "a word of [verdicts](verdicts.md#verdicts-over-many-runs), or `not enough runs`"),
-        TASK,
-        ASSOCIATION,
-        PHASE,
+        TASK, ASSOCIATION, PHASE,
         Column("power", "probability of rejecting a covariance stated at 0.8 of the true one"),
         count("diverged", "diverged or implausible runs"),
     ),
-)
+)  # fmt: skip
 TRUST = File(
-    "trust.csv",
-    "Consistency statistics that need no truth, compared with bootstrap replicates (`--twins`).",
-    (
-        *WHO,
-        text("statistic", "`nis`, `innovation_lag1`, `filter_smoother_...`, `residual_...`, `slope_...`"),
+    "trust.csv", "Consistency statistics that need no truth, compared with bootstrap replicates (`--twins`).", (
+        *WHO, text("statistic", "`nis`, `innovation_lag1`, `filter_smoother_...`, `residual_...`, `slope_...`"),
         Column("value", "value of the log"),
         Column("expected", "expected by theory, else the median of the replicates"),
-        count("twins", "number of replicates"),
-        Column("p", "p value by rank among the replicates"),
+        count("twins", "number of replicates"), Column("p", "p value by rank among the replicates"),
         Column("p_family", "p value corrected for all statistics of the log"),
-        Column("se", "standard error of the value"),
-        count("frame", "frame of a largest value"),
+        Column("se", "standard error of the value"), count("frame", "frame of a largest value"),
     ),
-)
+)  # fmt: skip
 RELATIONS = File(
-    "relations.csv",
-    "Errors against reference relations.",
-    (
-        LOG,
-        ESTIMATOR,
-        ASSOCIATION,
-        PHASE,
-        text("tie", "relations matched to frames by `row` of the log or by `time`"),
-        text("subset", "`all` relations or only the `exact` ones"),
-        count("relations", "number of relations"),
+    "relations.csv", "Errors against reference relations.", (
+        LOG, ESTIMATOR, ASSOCIATION, PHASE, text("tie", "relations matched to frames by `row` of the log or by `time`"),
+        text("subset", "`all` relations or only the `exact` ones"), count("relations", "number of relations"),
         *(
             Column(f"{part}_{of}_{unit}", "mean, standard deviation and maximum of the error", unit)
             for part, unit in (("trans", "m"), ("rot", "deg"))
@@ -328,17 +310,12 @@ RELATIONS = File(
         ),
     ),
     when="logs with reference relations",
-)
+)  # fmt: skip
 OF_SOURCES = "inliers accepted, outliers rejected, outliers accepted, inliers rejected"
 SOURCES = File(
-    "sources.csv",
-    "[Fixes and closures](notes/verdict-rules.md#fixes-and-closures) by source.",
-    (
-        *RUN,
-        text("source", "name of the source"),
-        text("kind", "`position`, `heading`, `pose` or `closure`"),
-        count("count", "measurements in the log"),
-        count("used", "accepted ones"),
+    "sources.csv", "[Fixes and closures](notes/verdict-rules.md#fixes-and-closures) by source.", (
+        *RUN, text("source", "name of the source"), text("kind", "`position`, `heading`, `pose` or `closure`"),
+        count("count", "measurements in the log"), count("used", "accepted ones"),
         Column("nis_mean", "NIS of the accepted ones per degree of freedom"),
         count("nis_dof", "their degrees of freedom"),
         *(Column(name, "95 % bounds behind the gate") for name in ("nis_low", "nis_high")),
@@ -346,7 +323,7 @@ SOURCES = File(
         *(count(name, OF_SOURCES) for name in ("tp", "tn", "fp", "fn")),
     ),
     when="logs with fixes or closures",
-)
+)  # fmt: skip
 SPACE = File(
     "space.csv",
     "[Scores in 3-D](notes/results-files.md), a row per quantity.",
@@ -354,18 +331,14 @@ SPACE = File(
     when="results in 3-D",
 )
 PUBLISHED = File(
-    "published.csv",
-    "Comparison with published numbers.",
-    (
-        text("scenario", "name of the study"),
-        ESTIMATOR,
-        text("quantity", "compared quantity"),
+    "published.csv", "Comparison with published numbers.", (
+        text("scenario", "name of the study"), ESTIMATOR, text("quantity", "compared quantity"),
         *(Column(name, "our number and its standard error") for name in ("ours", "se_ours")),
         *(Column(name, "published number and its standard error") for name in ("published", "se_published")),
         Column("difference_in_se", "difference in standard errors of the difference"),
     ),
     when="scenarios with published numbers",
-)
+)  # fmt: skip
 TIMING = File(
     "timing.csv",
     "Run times of the estimators; they differ from run to run.",
@@ -377,14 +350,8 @@ TIMING = File(
     ),
 )
 DIFFERENCES = File(
-    "slamref.score(...).differences",
-    "Filter minus smoother under the same association method, for logs with truth.",
-    (
-        LOG,
-        TASK,
-        ASSOCIATION,
-        text("a", "the filter"),
-        text("b", "the smoother"),
+    "slamref.score(...).differences", "Filter minus smoother under the same association method, for logs with truth.", (
+        LOG, TASK, ASSOCIATION, text("a", "the filter"), text("b", "the smoother"),
         *(text(name, "their phases") for name in ("phase_a", "phase_b")),
         *(
             Column(f"{name}{suffix}", about, unit)
@@ -402,18 +369,14 @@ DIFFERENCES = File(
         Column("block_frames", "mean block length of the bootstrap", "frames"),
         *(text(name, "reasons for missing bounds") for name in ("rmse_position_why", "nees_pose_why")),
     ),
-)
+)  # fmt: skip
 _SUBJECT = "log, task, estimator and association method, where they apply"
 NOTICES = File(
-    "notices.csv",
-    "Diagnostics of logs and runs: questions, notes, failures, implausible and lost runs.",
-    (
-        text("code", "one of a fixed list"),
-        text("severity", "`info`, `warning`, or `error`: do not use the result"),
+    "notices.csv", "Diagnostics of logs and runs: questions, notes, failures, implausible and lost runs.", (
+        text("code", "one of a fixed list"), text("severity", "`info`, `warning`, or `error`: do not use the result"),
         *(text(name, _SUBJECT) for name in ("log", "task", "estimator", "association")),
         count("frame", "first frame, where it applies"),
-        text("values", "JSON object of numbers and names, sorted by name"),
-        text("text", "sentence of the report"),
+        text("values", "JSON object of numbers and names, sorted by name"), text("text", "sentence of the report"),
     ),
-)
+)  # fmt: skip
 TOP = (METRICS, DECISION_COUNTS, CONSISTENCY, TRUST, RELATIONS, SOURCES, SPACE, PUBLISHED, NOTICES, TIMING)

@@ -55,17 +55,13 @@ def load_plaza(number: int, scale: float = SCALE, sigma: float = SIGMA) -> Log:
     landmarks = LandmarkMap(beacons[order, 0].astype(np.int64), beacons[order, 1:])
     z = np.stack([ranges[:, 3] / scale, np.zeros(len(ranges))], axis=-1)
     recorded = Inputs(
-        prior=Prior(true[0], np.eye(3) * FIRST**2),
-        time=time - begin,
-        increments=increments,
+        prior=Prior(true[0], np.eye(3) * FIRST**2), time=time - begin, increments=increments,
         observations=Observations(
             np.searchsorted(time, ranges[:, 0]).astype(np.int64), z, np.tile(np.diag([sigma**2, 1.0]), (len(z), 1, 1))
         ),
-        sensor=Range(max_range=1.001 * float(z[:, 0].max()), label="radio"),
-        map=landmarks,
-        covariance_floor=FLOOR,
+        sensor=Range(max_range=1.001 * float(z[:, 0].max()), label="radio"), map=landmarks, covariance_floor=FLOOR,
         floored=floored,
-    )
+    )  # fmt: skip
     notes = [
         f"Ranges are divided by {scale:g} (--range-scale); by the ground truth they are {SCALE:g} times the distances.",
         f"The first true pose is the prior, with a standard deviation of {FIRST:g} m and {FIRST:g} rad.",

@@ -63,10 +63,8 @@ def load_victoria_park() -> Log:
         time_is_index=True, covariance_floor=FLOOR, floored=floored,
     )  # fmt: skip
     return Log(
-        name="victoria-park",
-        recorded=recorded,
-        truth=Truth(landmark_of=seen[:, 1].astype(np.int64)),
+        name="victoria-park", recorded=recorded, truth=Truth(landmark_of=seen[:, 1].astype(np.int64)),
         source={"kind": "victoria-park", "file": file.name, "sha256": hashlib.sha256(content).hexdigest()},
         notes=("No ground truth: poses are compared with the batch smoother's.",),
         origins={"max_range": Origin.ASSUMED},
-    )
+    )  # fmt: skip

@@ -22,7 +22,7 @@ from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.messages import file_and_word
 from data.formats.recordings.laser import TravelNoise
 from data.formats.tables import files as table_files
-from data.formats.tables.files import POSE, ROLES, SECOND, STAMPED, STARRED, TRAVEL, Columns, Given, TextTable, Units
+from data.formats.tables.files import POSE, ROLES, SCANS, SECOND, STAMPED, STARRED, Columns, Given, TextTable, Units
 from data.formats.tables.layout import by_layout, seen_by_layout
 from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of, path_of
 from data.formats.tables.motion import STAMPED as STAMPED_KINDS
@@ -131,13 +131,13 @@ def sensors_of(given: Given, files: Mapping[str, TextTable], columns: Columns, k
     texts = {flag: by_sensor(given[flag], flag) for flag in OF_SENSORS if flag in given}
     for flag, found in texts.items():
         for name in found:
-            if name and name not in (*names, *[table_files.SCANS] * (flag == "sensor-pose" and table_files.SCANS in files)):
+            if name and name not in (*names, *[SCANS] * (flag == "sensor-pose" and SCANS in files)):
                 known = unknown(name, names) if names else f"no sensor; --{SENSOR} {name}=FILE names one"
                 raise UsageError(f"--{flag} {name}={found[name]}: {name!r} is {known}")
     texts[LENGTH] = {"": str(given[LENGTH])}
     roles = names or [role for role in (OBSERVATIONS,) if role in files]
     for flag, found in texts.items():
-        if not roles and flag not in (LENGTH, *["sensor-pose"] * (table_files.SCANS in files)):
+        if not roles and flag not in (LENGTH, *["sensor-pose"] * (SCANS in files)):
             raise UsageError(f"--{flag} {found.popitem()[1]}: no observations; --{OBSERVATIONS} FILE names them")
     truth = files.get("truth")
     taken = {role for role in roles if (kind == "poses" and files[role] is files["odometry"])
@@ -393,7 +393,7 @@ def settle(given: Given) -> Wanted:
         sensed=bool(given.get("labels-sensed", False)),
         backward=table_files.one_of(given, "hold", ("forward", "backward")) == "backward", second=second,
         scanner=numbers_of(given, "scanner"),
-        mount=numbers_of({**given, "sensor-pose": poses.get(table_files.SCANS, poses.get(""))}, "sensor-pose"),
+        mount=numbers_of({**given, "sensor-pose": poses.get(SCANS, poses.get(""))}, "sensor-pose"),
         assumed=("odometry_noise",) * ("odometry-sigma" not in given) + ("prior",) * starts,
         **_of_fixes(given, files),
     )  # fmt: skip
@@ -501,7 +501,7 @@ def _noise(given: Given, kind: str, notes: list[str], of: str = "odometry") -> N
         notes.append(f"assumed: --{stated} {ASSUMED[model]}")
     text = given[stated]
     if model == "travel":
-        return TravelNoise(*_numbers(given, stated, TRAVEL, what, zero=True).tolist())
+        return TravelNoise(*_numbers(given, stated, table_files.TRAVEL, what, zero=True).tolist())
     if model == "step":
         return StepNoise(*_numbers(given, stated, POSE, what, zero=True).tolist())
     if model in WITH_ALPHAS:

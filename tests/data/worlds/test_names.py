@@ -40,20 +40,16 @@ def test_a_bare_name_says_the_defaults(world):
 
 
 SENSELESS = [
-    ("x", "the seed is a whole number, as in {world}:0"),
-    ("", "the seed is a whole number, as in {world}:0"),
+    ("x", "the seed is a whole number, as in {world}:0"), ("", "the seed is a whole number, as in {world}:0"),
     ("-1", "the seed is a whole number, as in {world}:0"),
-    ("1.5:frames=40", "the seed is a whole number, as in {world}:0"),
-    ("0:", "'' is not known"),
-    ("0:colour=red", "'colour=red' is not known"),
-    ("0:frames=9+", "'' is not known"),
+    ("1.5:frames=40", "the seed is a whole number, as in {world}:0"), ("0:", "'' is not known"),
+    ("0:colour=red", "'colour=red' is not known"), ("0:frames=9+", "'' is not known"),
     ("0:frames", "frames needs a value, as in frames=1; known: "),
     ("0:no-frames", "frames needs a value, as in frames=1; known: "),
     ("0:frames=many", "frames=many: a whole number is needed"),
-    ("0:frames=4.5", "frames=4.5: a whole number is needed"),
-    ("0:frames=0", "at least 1 is needed"),
+    ("0:frames=4.5", "frames=4.5: a whole number is needed"), ("0:frames=0", "at least 1 is needed"),
     ("0:frames=9+frames=8", "frames is given twice"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "wrong"), [

@@ -92,12 +92,9 @@ def logs(draw) -> Log:
         z[:, 0] = np.abs(z[:, 0])
     low = draw(st.floats(-math.pi, 3.0))
     sensor = sensor_class(
-        draw(st.one_of(st.just(math.inf), st.floats(1e-3, 1e6))),
-        low,
-        draw(st.floats(low, math.pi, exclude_min=True)),
-        draw(numbers),
-        (draw(numbers), draw(numbers)),
-    )
+        draw(st.one_of(st.just(math.inf), st.floats(1e-3, 1e6))), low, draw(st.floats(low, math.pi, exclude_min=True)),
+        draw(numbers), (draw(numbers), draw(numbers)),
+    )  # fmt: skip
     ids = np.array(sorted(draw(st.sets(st.integers(0, 2**40), min_size=k, max_size=k))), np.int64)
     sigma = np.abs(array((k, 2))) if draw(st.booleans()) else np.zeros((k, 2))
     landmarks = LandmarkMap(ids, array((k, 2)), sigma=sigma if sigma.any() else None) if draw(st.booleans()) else None
@@ -112,12 +109,8 @@ def logs(draw) -> Log:
             z,
             draw(matrices(m, 2, definite=True)),
         ),
-        sensor=sensor,
-        map=landmarks,
-        time_is_index=draw(st.booleans()),
-        covariance_floor=floor,
-        floored=floored,
-    )
+        sensor=sensor, map=landmarks, time_is_index=draw(st.booleans()), covariance_floor=floor, floored=floored,
+    )  # fmt: skip
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     fixes = random_fixes(rng, n) if draw(st.booleans()) else None
     closures = random_closures(rng, n) if n > 1 and draw(st.booleans()) else None
@@ -127,8 +120,7 @@ def logs(draw) -> Log:
     )
     pose = array((n, 3), st.one_of(numbers, st.just(math.nan))) if draw(st.booleans()) else None
     return Log(
-        "log",
-        recorded,
+        "log", recorded,
         Truth(
             pose,
             true,
@@ -136,11 +128,9 @@ def logs(draw) -> Log:
             fix_inlier=fix_inlier,
             closure_inlier=closure_inlier,
         ),
-        label=draw(claimed) if draw(st.booleans()) else None,
-        labels_are_sensed=draw(st.booleans()),
-        source=draw(sources),
-        notes=tuple(draw(st.lists(texts, max_size=2))),
-    )
+        label=draw(claimed) if draw(st.booleans()) else None, labels_are_sensed=draw(st.booleans()),
+        source=draw(sources), notes=tuple(draw(st.lists(texts, max_size=2))),
+    )  # fmt: skip
 
 
 @given(logs())
@@ -216,12 +206,9 @@ def test_a_map_without_a_true_landmark_has_no_place_in_the_format(log, tmp_path)
 
 def test_the_header_is_plain_toml_whatever_the_source_holds(log, tmp_path):
     source = {
-        "seed": np.int64(3),
-        "sigma": np.array([0.1, 0.2]),
-        "file": Path("a") / "b",
-        "no": None,
+        "seed": np.int64(3), "sigma": np.array([0.1, 0.2]), "file": Path("a") / "b", "no": None,
         'odd "key"': "\x7f\n\\é",
-    }
+    }  # fmt: skip
     write_folder(dataclasses.replace(log, source=source), tmp_path / "out")
     with (tmp_path / "out" / "log.toml").open("rb") as file:
         written = tomllib.load(file)["source"]
@@ -251,23 +238,16 @@ def test_a_log_from_arrays_is_the_log_of_the_same_numbers_in_a_folder(tmp_path):
     world = open_log("arena:3")
     r, o, t = world.recorded, world.recorded.observations, world.truth
     again = slamref.Log.from_arrays(
-        "arena_3",
-        (r.prior.mean, r.prior.covariance),
+        "arena_3", (r.prior.mean, r.prior.covariance),
         {
             "kind": "range_bearing",
             "max_range": r.sensor.max_range,
             "min_angle": r.sensor.min_angle,
             "max_angle": r.sensor.max_angle,
         },
-        np.column_stack([o.frame, o.z]),
-        increments=r.increments.mean,
-        covariance=r.increments.covariance,
-        time=r.time,
-        R=o.R,
-        landmarks=np.column_stack([t.landmarks.id, t.landmarks.xy]),
-        truth=t.pose,
-        true_id=t.landmark_of,
-    )
+        np.column_stack([o.frame, o.z]), increments=r.increments.mean, covariance=r.increments.covariance, time=r.time,
+        R=o.R, landmarks=np.column_stack([t.landmarks.id, t.landmarks.xy]), truth=t.pose, true_id=t.landmark_of,
+    )  # fmt: skip
     write_folder(world, tmp_path / "arena_3")
     read = load_folder(tmp_path / "arena_3")
     for one, other in zip(arrays(again)[0], arrays(read)[0], strict=True):
