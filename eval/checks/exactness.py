@@ -113,44 +113,29 @@ def _of_noise(change: Change) -> Changes:
 
 FIXED: Changes = tuple({"fixed": v} for v in (1e-3, 0.01, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 10.0, 25.0, 100.0))
 CHANGES: dict[Bug, Changes] = {
-    Bug.NEW_FIXED: FIXED,
-    Bug.NEW_FIXED_CORRECTED: FIXED,
-    Bug.PRIOR_IGNORED: ({"prior": scaled(0.0)},),
-    Bug.Q_NONE: ({"Q": scaled(0.0)},),
-    Bug.Q_DOUBLED: ({"Q": scaled(2.0)},),
-    Bug.Q_HALVED: ({"Q": scaled(0.5)},),
-    Bug.Q_ROOT: ({"Q": root},),
-    Bug.Q_SQUARED: ({"Q": np.square},),
-    Bug.Q_DIAGONAL: ({"Q": diagonal},),
+    Bug.NEW_FIXED: FIXED, Bug.NEW_FIXED_CORRECTED: FIXED, Bug.PRIOR_IGNORED: ({"prior": scaled(0.0)},),
+    Bug.Q_NONE: ({"Q": scaled(0.0)},), Bug.Q_DOUBLED: ({"Q": scaled(2.0)},), Bug.Q_HALVED: ({"Q": scaled(0.5)},),
+    Bug.Q_ROOT: ({"Q": root},), Bug.Q_SQUARED: ({"Q": np.square},), Bug.Q_DIAGONAL: ({"Q": diagonal},),
     Bug.MOTION_NOT_SIDEWAYS: tuple(
         {"mean": mean, "Q": Q}
         for mean in (scaled(1.0, 0.0, 1.0), lambda m: np.array([np.hypot(*m[:2]), 0.0, m[2]]))
         for Q in (same, lambda Q: Q * np.outer([1.0, 0.0, 1.0], [1.0, 0.0, 1.0]))
     ),
     Bug.MOTION_JACOBIAN_NONE: ({"F": lambda F: np.eye(3)},),
-    Bug.MOTION_JACOBIAN_SIGN: ({"F": lambda F: 2.0 * np.eye(3) - F},),
-    Bug.R_NONE: _of_noise(scaled(0.0)),
-    Bug.R_DOUBLED: _of_noise(scaled(2.0)),
-    Bug.R_HALVED: _of_noise(scaled(0.5)),
-    Bug.R_ROOT: (*_of_noise(root), *_of_noise(lambda R: root(diagonal(R)))),
-    Bug.R_SQUARED: _of_noise(np.square),
+    Bug.MOTION_JACOBIAN_SIGN: ({"F": lambda F: 2.0 * np.eye(3) - F},), Bug.R_NONE: _of_noise(scaled(0.0)),
+    Bug.R_DOUBLED: _of_noise(scaled(2.0)), Bug.R_HALVED: _of_noise(scaled(0.5)),
+    Bug.R_ROOT: (*_of_noise(root), *_of_noise(lambda R: root(diagonal(R)))), Bug.R_SQUARED: _of_noise(np.square),
     Bug.R_DIAGONAL: ({"R": diagonal, "R_new": diagonal},),
     Bug.R_OF_THE_FIRST: ({"R": lambda R: np.repeat(R[:1], len(R), axis=0)},),
     Bug.JACOBIAN_NO_HEADING: ({"Hx": scaled(1.0, 1.0, 0.0)},),
-    Bug.JACOBIAN_SIGN_OF_HEADING: ({"Hx": scaled(1.0, 1.0, -1.0)},),
-    Bug.JACOBIAN_NO_LANDMARK: ({"Hl": scaled(0.0)},),
+    Bug.JACOBIAN_SIGN_OF_HEADING: ({"Hx": scaled(1.0, 1.0, -1.0)},), Bug.JACOBIAN_NO_LANDMARK: ({"Hl": scaled(0.0)},),
     Bug.OBSERVATIONS_UNCORRELATED: ({"S": blocks_alone}, {"S": blocks_alone, "joseph": True}),
-    Bug.NEW_WITHOUT_NOISE: ({"R_new": scaled(0.0)},),
-    Bug.NEW_WITHOUT_POSE: ({"Gx": scaled(0.0)},),
-    Bug.NEW_NO_HEADING: ({"Gx": scaled(1.0, 1.0, 0.0)},),
-    Bug.NEW_NOISE_NOT_TURNED: ({"Gz": lambda Gz: np.eye(2)},),
-    Bug.FIRST_DROPPED: ({"used": lambda rows: rows[1:]},),
-    Bug.LAST_DROPPED: ({"used": lambda rows: rows[:-1]},),
-    Bug.EVERY_SECOND_DROPPED: ({"used": lambda rows: rows[::2]},),
-    Bug.ALL_DROPPED: ({"used": lambda rows: rows[:0]},),
-    Bug.JOINT_UNCORRELATED: ({"joint": blocks_alone},),
-    Bug.JOINT_PERMUTED: ({"joint": permuted},),
-}
+    Bug.NEW_WITHOUT_NOISE: ({"R_new": scaled(0.0)},), Bug.NEW_WITHOUT_POSE: ({"Gx": scaled(0.0)},),
+    Bug.NEW_NO_HEADING: ({"Gx": scaled(1.0, 1.0, 0.0)},), Bug.NEW_NOISE_NOT_TURNED: ({"Gz": lambda Gz: np.eye(2)},),
+    Bug.FIRST_DROPPED: ({"used": lambda rows: rows[1:]},), Bug.LAST_DROPPED: ({"used": lambda rows: rows[:-1]},),
+    Bug.EVERY_SECOND_DROPPED: ({"used": lambda rows: rows[::2]},), Bug.ALL_DROPPED: ({"used": lambda rows: rows[:0]},),
+    Bug.JOINT_UNCORRELATED: ({"joint": blocks_alone},), Bug.JOINT_PERMUTED: ({"joint": permuted},),
+}  # fmt: skip
 
 
 def rules_of(bug: Bug) -> list[Rules]:

@@ -495,15 +495,8 @@ def _correlated(e: Evidence, of: OfSource) -> list[Explanation]:
     return [Explanation(finding, gain + ordered - penalty(e, len(both) + 1))]
 
 
-MODELLED = (
-    "systematic",
-    "sigma",
-    "change",
-    "jump",
-    "burst",
-    "landmark",
-    "mirrored",
-)  # kinds whose corrected inputs have a likelihood
+MODELLED = ("systematic", "sigma", "change", "jump", "burst", "landmark", "mirrored")
+"""Kinds whose corrected inputs have a likelihood."""
 FREED = 10.0  # times its mean squared residual, the variance of an increment that jumped: the residual is what is left
 UNINFORMATIVE = 1e6
 """Factor of the covariance of a measurement that is left out, so that its variables stay determined."""

@@ -45,11 +45,9 @@ def small_log() -> Log:
             LandmarkMap(np.array([1, 4]), np.array([[0.0, 2.0], [3.0, 6.0]])),
             np.array([4, 1, 4, UNKNOWN_ID, CLUTTER, UNKNOWN_ID]),
         ),
-        label=np.array([4, 1, 4, 4, 7, UNLABELLED]),
-        labels_are_sensed=True,
-        source={"maker": "hand", "seed": 3},
+        label=np.array([4, 1, 4, 4, 7, UNLABELLED]), labels_are_sensed=True, source={"maker": "hand", "seed": 3},
         notes=("one of a kind",),
-    )
+    )  # fmt: skip
 
 
 def said(log: Log, key: str) -> str:

@@ -330,24 +330,17 @@ def _facts(report: AuditReport) -> SimpleNamespace:
                 touching[v].append(i)
     only = {v: some[0] if len(some) == 1 else -1 for v, some in touching.items()}
     return SimpleNamespace(
-        factors=int(factors["chi2"].notna().sum()),
-        chi2=float(factors["chi2"].sum()),
-        wrong=len(a.wrong) or len(wrong),
+        factors=int(factors["chi2"].notna().sum()), chi2=float(factors["chi2"].sum()), wrong=len(a.wrong) or len(wrong),
         # rejected only beside them; those of them that stand for rejected ones, and are not rejected themselves
-        beside=len(set(wrong.index) - set(a.wrong.tolist())),
-        standing=len(set(a.wrong.tolist()) - set(wrong.index)),
-        rest=a.freedom - int(factors["dim"].to_numpy()[a.wrong].sum()),
-        explained=len(wrong) * explained,
+        beside=len(set(wrong.index) - set(a.wrong.tolist())), standing=len(set(a.wrong.tolist()) - set(wrong.index)),
+        rest=a.freedom - int(factors["dim"].to_numpy()[a.wrong].sum()), explained=len(wrong) * explained,
         # the wrong ones, if they are several but few
         named=", ".join(map(str, a.wrong.tolist())) if 1 < len(a.wrong) <= TEN else "",
         # rejected factors that share one test, if all do: nothing tells them apart
-        alike=alike,
-        most=most,
-        far=a.gained > max(FAR, FAR_SHARE * a.freedom) and not a.searched,
+        alike=alike, most=most, far=a.gained > max(FAR, FAR_SHARE * a.freedom) and not a.searched,
         scaled=tuple(dict.fromkeys(s.kind for s in scaled)),
         # kinds whose noise nobody stated, and what their residuals ask for
-        assumed=a.kinds.assumed,
-        asked=tuple(s for s in asked if s.error < s.value),
+        assumed=a.kinds.assumed, asked=tuple(s for s in asked if s.error < s.value),
         component=max(scaled, key=Scale.told, default=None),
         worst=None
         if explained or alike or most or first.empty
@@ -357,16 +350,14 @@ def _facts(report: AuditReport) -> SimpleNamespace:
         unchecked=len(unchecked),
         unchecked_kinds=tuple(f"{n} of {int(kinds.loc[k, 'n'])} {k}" for k, n in Counter(unchecked["kind"]).items()),
         hidden=None if missed.empty else _in_words(missed.iloc[0], missed.index[0]),
-        gauge=max(a.condition.gauge - report.held, 0),
-        scale=a.condition.scale,
+        gauge=max(a.condition.gauge - report.held, 0), scale=a.condition.scale,
         # name, directions, whether it moves, and turns, and the number of the one factor that ties it, or -1
         loose=tuple((name(a.f.system.keys[f[0]]), *f[1:], only[f[0]]) for f in a.condition.loose),
-        unused=tuple(map(name, a.unused)),
-        parts=a.condition.parts,
+        unused=tuple(map(name, a.unused)), parts=a.condition.parts,
         duplicates=tuple(f"{i} and {j}" for i, j in a.condition.duplicates),
         ignored=int((factors["weight"] < 1.0).sum()),
         zero=tuple(str(k) for k, zero in zip(kinds.index, a.by_kind.zero, strict=True) if zero),
-    )
+    )  # fmt: skip
 
 
 def _some(numbers: Sequence[int]) -> str:

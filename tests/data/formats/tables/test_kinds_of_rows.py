@@ -176,14 +176,8 @@ def test_arrays_of_landmarks_their_numbers_and_rows(convert, tmp_path, order):
     assert [(k, z.tolist()) for k, z in zip(log.label, o.z, strict=True)][:5] == [
         (1, [4.0, 0.1]), (1, [4.0, 0.1]), (2, [5.0, 0.1]), (3, [6.0, 0.1]), (1, [4.0, 0.1])
     ]  # fmt: skip
-    assert np.unique(np.round(10 * log.recorded.time[o.frame]), return_counts=True)[1].tolist()[:6] == [
-        1,
-        3,
-        1,
-        3,
-        1,
-        2,
-    ]
+    rows = np.round(10 * log.recorded.time[o.frame])
+    assert np.unique(rows, return_counts=True)[1].tolist()[:6] == [1, 3, 1, 3, 1, 2]
     savemat(tmp_path / "z.mat", {"z": np.ones((40, 2, 40))})
     assert "z (40, 2, 40), as in --columns range=z_1,bearing=z_2" in convert({}, *words, status=2)
     assert "which dimension" in convert({}, *words, "--columns", "bearing=z_1,range=z_2", status=2)
