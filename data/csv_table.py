@@ -107,15 +107,15 @@ class Table:
             hint = "; leave the field blank where unknown" if blank else ""
             self.require(fine, name, f"{{}} is not a number between -1e15 and 1e15{hint}")
 
-    def require_ascending(self, name: str, *, strictly: bool) -> None:
-        """Raise at the first row whose value is smaller than (`strictly`: or equal to) the one before."""
+    def require_ascending(self, name: str, *, strictly: bool, hint: str = "") -> None:
+        """Raise, with a hint, at the first row whose value is smaller than (`strictly`: or equal to) the one before."""
         values = self.columns[name]
         fine = np.ones(len(values), bool)
         fine[1:] = values[1:] > values[:-1] if strictly else values[1:] >= values[:-1]
         if not fine.all():
             before = float(values[int(np.argmin(fine)) - 1])
             rule = "must increase" if strictly else "must not decrease"
-            self.require(fine, name, f"{{}} follows {before!r}; {name} {rule} from row to row")
+            self.require(fine, name, f"{{}} follows {before!r}; {name} {rule} from row to row{hint}")
 
     def require_distinct(self, name: str, values: IntArray, what: str) -> None:
         """Raise at the first row whose value (K,) is that of one above; `{}` in `what` as of `require`."""

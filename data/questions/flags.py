@@ -11,10 +11,9 @@ from data.se2 import Array, compose, inverse, wrap_angle
 from data.sensors import RELATIVE_POINT
 
 QUANTITIES = {
-    "velocities": ("odometry.v", "odometry.omega"),
-    "poses": ("odometry.x,odometry.y", "odometry.theta"),
+    "velocities": ("odometry.v", "odometry.omega"), "poses": ("odometry.x,odometry.y", "odometry.theta"),
     "steps": ("odometry.dx,odometry.dy", "odometry.dtheta"),
-}
+}  # fmt: skip
 """Columns of lengths and of angles of each kind of odometry in tables."""
 
 

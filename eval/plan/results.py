@@ -95,18 +95,18 @@ def phase_of(path: Path) -> str:
 def manner_of(name: str, names: Sequence[str], reading: Matching) -> Manner:
     """How a result or the truth is read; a value with `NAME=` overrides one for all."""
     every = [unit for units in UNITS for unit in units]
+    of = re.compile(r"^(?:(\w+)\.)?(?:t|time|theta|angle|length|lat|lon)=")  # as of convert table
+    each = [part for text in reading.unit for part in text.split(",")]
+    stated = [of.sub(lambda m: f"{m[1]}=" if m[1] else "", part) for part in each]
 
     def path(flag: str, values: Sequence[str], *, alone: bool = False) -> Path | None:
         value = _of(flag, values, name, names, alone=alone)
         return None if value is None else Path(value)
 
     def unit(kind: Sequence[str]) -> str | None:
-        of = re.compile(r"^(?:(\w+)\.)?(?:t|time|theta|angle|length)=")  # as of convert table
-        every_text = [of.sub(lambda m: f"{m[1]}=" if m[1] else "", text) for text in reading.unit]
-        own = [text for text in every_text if text.rpartition("=")[2] in kind]
-        return _of("--unit", own, name, names, every)
+        return _of("--unit", [text for text in stated if text.rpartition("=")[2] in kind], name, names, every)
 
-    for text in reading.unit:
+    for text in stated:
         _known("--unit", text.rpartition("=")[2], every)
     stamps, angles, lengths = map(unit, UNITS)
     return Manner(

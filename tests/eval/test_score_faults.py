@@ -554,7 +554,7 @@ def test_latitudes_are_metres_about_one_origin_and_beside_another_frame_aligned(
         assert values["rmse_aligned_m"] < 1e-2
         assert "inferred: --columns t=1,lat=2,lon=3" in text
     assert "t=1,lat=2,lon=3" in scored(lines(np.column_stack([high, radian])), named, status=2)
-    assert "degrees are needed" in scored(commas([[1, 95, 7]], "t,lat,lon"), named, status=2)
+    assert "ddmm.mmmm, are needed" in scored(commas([[1, 95, 7]], "t,lat,lon"), named, status=2)
 
 
 def test_a_place_and_a_quaternion_are_read_behind_any_stamp(scored):

@@ -337,12 +337,12 @@ STAMPS = ("t", "t1", "t2")
 INSTANTS = {*STAMPS, "frame", "frame1"}
 QUANTITIES = {
     **dict.fromkeys((*STAMPS, "dt"), "time"), **dict.fromkeys(("x", "y", "dx", "dy", "range", "sx", "sy"), "length"),
-    **dict.fromkeys(("theta", "dtheta", "bearing", "stheta", "steering"), "angle"),
+    **dict.fromkeys(("theta", "dtheta", "bearing", "stheta", "steering", "lat", "lon"), "angle"),
     "v": "length/time", "omega": "angle/time",
     **dict.fromkeys(("left", "right", "frame", "id", "true_id", "label", "qx", "qy", "qz", "qw"), ""),
-    **dict.fromkeys(("frame1", "frame2", "source", "descriptor", "class", "kind", "lat", "lon"), ""),
+    **dict.fromkeys(("frame1", "frame2", "source", "descriptor", "class", "kind"), ""),
 }  # fmt: skip
-"""Quantities of columns, and their dimensions; rates are per second by default."""
+"""Quantities of columns, and their dimensions; rates are per second by default, lat and lon in degrees."""
 
 
 @dataclass(frozen=True)
@@ -372,12 +372,13 @@ class Units:
     def factor(self, role: str, quantity: str) -> float:
         """SI units per unit of a quantity in a file."""
         dimension, unit = QUANTITIES[quantity], self.unit(role, quantity)
+        usual = ANGLE["deg"] if quantity in EARTH.values() else 1.0
         if not dimension or (dimension == "time" and self.dates(role)):
             return 1.0
         if unit is None:  # rates are per second then
             dimension = quantity = dimension.partition("/")[0]
             unit = self.given.get(dimension)
-        return 1.0 if unit is None else factor(dimension, unit, f"--unit {quantity}={unit}")
+        return 1.0 if unit is None else factor(dimension, unit, f"--unit {quantity}={unit}") / usual
 
 
 def factor(dimension: str, text: str, where: str) -> float:
@@ -499,11 +500,9 @@ class Columns:
                 raise DataError.at(file.path, f"no column {self.given[own]!r}{near} ({own}); it has {file.described()}")
             self.used.add(own)
             return column
-        if quantity in self.given:
-            column = file.find(self.given[quantity])
-            if column is not None:
-                self.used.add(quantity)
-                return column
+        if quantity in self.given and (column := file.find(self.given[quantity])) is not None:
+            self.used.add(quantity)
+            return column
         if file.named and quantity in file.names and (file.path, file.names.index(quantity)) not in self.intervals:
             return file.find("time" if quantity == "t" and self._headings(file) else quantity)
         usual = (quantity.replace("theta", "yaw"), quantity)
@@ -583,9 +582,8 @@ class Columns:
 
     def stamps(self, file: TextTable, role: str, keep: BoolArray) -> Array:
         """Stamps t [s] of rows to keep (K,) of a file, NaN where blank."""
-        (column,) = self.require(file, role, ("t",))
-        values = file.numbers(column, keep, self.units.dates(role)) * self.units.factor(role, "t")
-        return values + self.offsets.get(role, 0.0)
+        values = file.numbers(self.require(file, role, ("t",))[0], keep, self.units.dates(role))
+        return values * self.units.factor(role, "t") + self.offsets.get(role, 0.0)
 
     def turned(self, file: TextTable, role: str, time: Array, pose: Array) -> Array:
         """Poses (K, 3) in rad; headings that follow the course as degrees only are converted, others asked about."""
@@ -626,6 +624,9 @@ class Columns:
         columns = dict(zip(quantities, self.require(file, role, quantities), strict=True))
         columns |= {q: c for q in optional if (c := self.find(file, role, q)) is not None}
         named = {q: c for q in texts if (c := self.find(file, role, q)) is not None}
+        for a, b in itertools.combinations([q for q in columns if q[0] != "s" and (QUANTITIES[q] or q in INSTANTS)], 2):
+            if (c := columns[a]) == columns[b] and len({row[c] for row in file.rows}) > 1:
+                raise DataError.at(file.path, f"column {file.names[c]} is named for {a} and {b} of {role}; name two")
         self.read |= {(file.path, c) for c in (*columns.values(), *named.values())}
         empty = np.ones(len(file), bool)
         for q in quantities:
@@ -652,7 +653,7 @@ class Columns:
         values: dict[str, Array] = {}
         for q, c in columns.items():
             dates = self.units.dates(role) if q in STAMPS else ""
-            values[q] = file.numbers(c, keep, dates) * (1.0 if q in earth else self.units.factor(role, q))
+            values[q] = file.numbers(c, keep, dates) * self.units.factor(role, EARTH[q] if q in earth else q)
         for q, c in columns.items():
             if QUANTITIES[q] not in ("", "time") and q[0] != "s" and (found := unmeasured(values[q])) is not None:
                 row, count, far = found
@@ -669,6 +670,8 @@ class Columns:
                 if {*sides} >= set(half.tolist()):
                     place[half == sides[1], k] = -np.abs(place[half == sides[1], k])
                     self.read.add((file.path, beside))
+            if self.units.factor(role, "lat") != 1.0 and not np.nanmax(np.abs(place[:, 0]), initial=0.0) <= 90.0:
+                raise DataError.at(file.path, "latitudes beyond 90 deg in the stated unit; is lat=deg,lon=deg right?")
             metres, datum, said = on_plane(file.path, place, self.datum)
             values |= {"x": metres[:, 0], "y": metres[:, 1]}
             self.datum[:] = datum[:2]

@@ -173,7 +173,7 @@ def read_odometry(
         back, rows = np.diff(time) < 0.0, [file.rows[k] for k in np.searchsorted(file.line, table.line)]
         if back.any() and (runs := runs_of(file.path, file.names, rows, back.tolist())):
             raise DataError.at(file.path, runs)
-        table.require_ascending("t", strictly=False)
+        table.require_ascending("t", strictly=False, hint="; leave such rows out" * bool(back.mean() < SOME))
         # the last of rows with equal stamps is used: a row per observation repeats the odometry
         last = np.append(time[1:] > time[:-1], True)
         motion = table.stack(quantities)

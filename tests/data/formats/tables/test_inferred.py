@@ -209,3 +209,14 @@ def test_points_are_no_beams(convert, tmp_path):
     odometry = text("t,v,omega", T[:9], V[:9], OMEGA[:9])
     said = convert({"o.csv": odometry}, "table", "o.csv", "out", *flags, status=2)
     assert "3 numbers in a row are points, no beams; for each scan a row of its ranges" in said
+
+
+def test_latitudes_in_rad_and_a_column_for_two_quantities(convert):
+    """Seen: no unit was known of lat and lon, angle=rad did not reach them; a column was read as stamp and range."""
+    place = np.radians(np.column_stack([48.0 + POSE[:, 1] / 111194.0, 11.0 + POSE[:, 0] / 74625.0]))
+    files = {"o.csv": text("t,v,omega", T, V, OMEGA), "gps.csv": text("t,lat,lon", T, place)}
+    words = ("table", "o.csv", "out", "--fixes", "gps.csv", "--fix-sigma", "0.1,0.1")
+    for unit in ("lat=rad,lon=rad", "angle=rad"):
+        z = convert(files, *words, "--unit", unit)[0].recorded.fixes.z
+        assert z[:, :2] == pytest.approx(POSE[:, :2], rel=5e-3, abs=0.03)
+    assert "column t is named for t and x" in convert(files, *words, "--columns", "fixes.x=t,fixes.y=lat", status=2)
