@@ -84,6 +84,7 @@ class Code(StrEnum):
     NO_TRUTH = "no-truth", INFO
     ALIGNED_FIRST = "aligned-first", INFO
     QUATERNION_ORDER = "quaternion-order", INFO
+    INVERSE_POSES = "inverse-poses", INFO
     ALIGNED = "aligned", INFO
     LANDMARKS_GONE = "landmarks-gone", WARNING
     # about the files of a result and its truth
@@ -95,6 +96,7 @@ class Code(StrEnum):
     PATH_ORDER = "path-order", WARNING
     PATH_TILT = "path-tilt", WARNING
     PATH_CLOCK = "path-clock", WARNING
+    PATH_SHIFT = "path-shift", WARNING
     PATH_LEAP = "path-leap", WARNING
     PATH_OUTLIERS = "path-outliers", INFO
     PATH_FRAME = "path-frame", WARNING

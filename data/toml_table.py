@@ -15,8 +15,7 @@ from data.se2 import Array
 
 Fault = Callable[[str], SlamrefError]
 Known = Mapping[str, Collection[str]]
-SHOWN = 60
-"""Most characters of a value in a message."""
+SHOWN = 60  # Most characters of a value in a message
 DEEPEST = 100  # Most parts of a dotted key; tomllib's memory grows with the square of their number
 _DEEP = re.compile(rb"(?:\.[\w\"'\t -]{1,64}){%d}" % DEEPEST)
 

@@ -1,4 +1,4 @@
-"""Files of arrays as tables: MATLAB's, and numpy's without pickles."""
+"""Files of arrays as tables: MATLAB's, Octave's texts, and numpy's without pickles."""
 
 from collections.abc import Collection, Mapping, Sequence
 from itertools import zip_longest
@@ -9,7 +9,7 @@ import numpy as np
 
 from data.columns.scans import BROKEN, array_of, open_archive
 from data.errors import DataError
-from data.formats.matlab import CELLS, kind_of, load, variables
+from data.formats.matlab import CELLS, is_octave, kind_of, load, octave, variables
 from data.formats.messages import file_and_word
 from data.se2 import Array
 
@@ -27,11 +27,13 @@ def is_arrays(path: Path) -> bool:
     path = file_and_word(path)[0]
     if path.suffix.lower() in PICKLES:
         raise DataError.at(path, "a pickle, which can run code; save its arrays by numpy.savez, or as CSV")
-    return path.suffix.lower() in SUFFIXES
+    return path.suffix.lower() in SUFFIXES or is_octave(path)
 
 
 def named(path: Path) -> dict[str, Any]:
     """The arrays of a file by name; runs no code of it. DataError for a damaged file."""
+    if is_octave(path):
+        return octave(path)
     if path.suffix.lower() == ".mat":
         return dict(load(path, variables(path)))
     try:

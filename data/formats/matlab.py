@@ -7,6 +7,7 @@ Source: MAT-File Format, Level 5, The MathWorks.
 import math
 import mmap
 import os
+import re
 import struct
 import zlib
 from collections.abc import Collection, Iterator, Mapping
@@ -229,8 +230,7 @@ def _header(data: Bytes, elements: Iterator[tuple[int, int, int]], order: str) -
 
     flags = integers(2)
     kind = flags[0] & 0xFF
-    # objects of MATLAB's newer classes have no dimensions
-    shape = (1,) if kind == OPAQUE else integers(32)
+    shape = (1,) if kind == OPAQUE else integers(32)  # objects of MATLAB's newer classes have no dimensions
     if len(flags) != 2 or min(shape) < 0:
         raise ValueError(f"a matrix of size {'x'.join(map(str, shape))}")
     name = text().decode("latin-1")
@@ -342,3 +342,49 @@ def _of_hdf5(file: Any, item: Any) -> Value:
     if item.dtype.kind == "V":
         return np.asarray(content["real"] + 1j * content["imag"]).T
     return np.asarray(content).T
+
+
+# Octave's text format: lines `# key: value` of a variable, the first with its name, then its numbers.
+
+
+def is_octave(path: Path) -> bool:
+    """Whether a file has the first line of Octave's text format."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(20).startswith(b"# Created by Octave")
+
+
+def octave(path: Path) -> dict[str, Value]:
+    """The variables of Octave's text format, text of complex or sparse ones. DataError for a damaged file."""
+    rows, found = path.read_text(encoding="utf-8", errors="replace").splitlines()[::-1], dict[str, Value]()
+    whole, _ = len(rows), rows.pop()
+    try:
+        while rows:
+            found |= [_octave(rows)]
+    except BROKEN as error:
+        raise DataError.at(path, f"damaged: {' '.join(str(error).split())[:200]}", line=whole - len(rows)) from None
+    return found
+
+
+def _octave(rows: list[str]) -> tuple[str, Any]:
+    """Take a variable off lines, the first of which is last: its name and value."""
+    said, data, name = dict[str, str](), list[str](), rows.pop().removeprefix("# name: ")
+    while rows and not rows[-1].startswith("# name:"):
+        key, colon, value = rows.pop().partition(": ")
+        said |= {key[2:]: value} if key.startswith("# ") else {}
+        data += [key + colon + value] if key.strip() and not key.startswith("# ") else []
+    kind, size = said["type"], [int(said[key]) for key in ("rows", "columns") if key in said]
+    if kind.endswith("struct"):
+        fields = dict(_octave(rows) for _ in range(int(said["length"])))
+        each = () if kind == "scalar struct" else zip(*fields.values(), strict=True)
+        return name, [dict(zip(fields, row, strict=True)) for row in each] or fields
+    if kind == "cell":
+        return name, _of_scipy(np.fromiter([_octave(rows)[1] for _ in range(math.prod(size))], object))
+    if not re.fullmatch(r"((global|bool|float|u?int\d+) )*(bool|scalar|matrix|(double_)?range)", kind):
+        return name, np.array(data)
+    numbers, n = [float(v) for row in data for v in row.replace("NA", "nan").split()], int(said.get("ndims", 0))
+    if kind.endswith("range"):
+        return name, np.arange(numbers[0], numbers[1] + 0.5 * numbers[2], numbers[2]).reshape(1, -1)
+    shape = [int(v) for v in numbers[:n]] or size or [1, 1]
+    return name, np.array(numbers[n:]).reshape(shape, order="F" if n else "C")

@@ -15,19 +15,7 @@ from data.columns import parts, poses
 from data.columns import sensors as sensors_file
 from data.columns.header import FORMAT, HEADER, LATEST, Header, read_header
 from data.columns.named import COVARIANCE, UPPER, or_blank, require_semidefinite
-from data.columns.parts import (
-    CLOSURES,
-    FIXES,
-    FRAMES,
-    IDS,
-    KIND,
-    LANDMARKS,
-    OBSERVATIONS,
-    ODOMETRY,
-    SIGMAS,
-    STAMP,
-    TRUE_PLACE,
-)
+from data.columns.parts import CLOSURES, FIXES, FRAMES, LANDMARKS, OBSERVATIONS, ODOMETRY
 from data.columns.poses import CLOSURE, ENDS, FIX, POSE, RELATIVE, by_name
 from data.columns.scans import read_scans, scans_content
 from data.csv_table import bytes_of, is_number, lines_of, read_table
@@ -120,7 +108,7 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
     scans = _scans(folder, header, there, len(made.recorded))
     truth, reference = made.truth, folder / RELATIONS if relations is None else relations
     if relations is not None or RELATIONS in there:
-        stamp = tables[FRAMES].columns.get(STAMP) if FRAMES in tables else None
+        stamp = tables[FRAMES].columns.get(parts.STAMP) if FRAMES in tables else None
         truth = replace(truth, relations=read_relations(reference, len(made.recorded), stamp))
     prior = () if header.motion_prior is None else (note_of(header.motion_prior),)
     source = dict(header.source)
@@ -242,7 +230,7 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
         tables[FRAMES] = {"t": inputs.time.tolist(), **by_name(RELATIVE, inputs.increments.mean)}
         tables[FRAMES] |= by_name(COVARIANCE, inputs.increments.covariance[:, *UPPER])
         if truth.relations is not None and truth.relations.frame_stamp is not None:
-            tables[FRAMES][STAMP] = truth.relations.frame_stamp.tolist()
+            tables[FRAMES][parts.STAMP] = truth.relations.frame_stamp.tolist()
     else:
         key, at = "t", inputs.time.tolist()
         tables[ODOMETRY] = {"t": samples.time.tolist(), **by_name(parts.VELOCITIES, samples.velocity)}
@@ -255,7 +243,7 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
         seen |= {} if observations.appearance is None else looks.columns_of(observations.appearance)
         for column, values in ids.items():
             if values is not None:
-                seen[column] = or_blank(values, values != IDS[column])
+                seen[column] = or_blank(values, values != parts.IDS[column])
         tables[OBSERVATIONS] = seen
     if fixes is not None:
         tables[FIXES] = {key: [at[k] for k in fixes.frame.tolist()], **poses.fixes_to_write(fixes, truth.fix_inlier)}
@@ -273,11 +261,11 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
     landmarks = _landmarks(log)
     if landmarks is not None:
         places: Table = {"id": landmarks.id.tolist(), **by_name(("x", "y"), landmarks.xy.reshape(-1, 2))}
-        places |= {} if landmarks.sigma is None else by_name(SIGMAS, landmarks.sigma)
+        places |= {} if landmarks.sigma is None else by_name(parts.SIGMAS, landmarks.sigma)
         if (true := truth.landmarks) is not None and not _same(landmarks, true):
             there = true.positions(landmarks.id).T
-            places |= dict(zip(TRUE_PLACE, or_blank(there, np.isfinite(there)), strict=True))
-        places |= {} if landmarks.kind is None else {KIND: landmarks.kind}
+            places |= dict(zip(parts.TRUE_PLACE, or_blank(there, np.isfinite(there)), strict=True))
+        places |= {} if landmarks.kind is None else {parts.KIND: landmarks.kind}
         places |= {} if landmarks.appearance is None else looks.columns_of(landmarks.appearance, known=True)
         tables[LANDMARKS] = places
     files = {HEADER: tomli_w.dumps(_header(log, name, samples))}

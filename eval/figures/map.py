@@ -27,10 +27,8 @@ from eval.referee.score import Trial
 
 MOST_IDS = 30
 LONG_LABEL = 24
-FAINT = "#b0b0b0"
-"""Of fixes and closures."""
-GREY = "#606060"
-"""What the legend shows of every estimator."""
+FAINT = "#b0b0b0"  # Of fixes and closures
+GREY = "#606060"  # What the legend shows of every estimator
 AMBIGUOUS: dict[str, Any] = {"color": "black", "marker": "D", "fillstyle": "none", "linestyle": "none"}
 """Around landmarks that another place would suit as well."""
 Surveyed = Callable[[Axes], Sequence[Line2D]]

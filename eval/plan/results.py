@@ -14,19 +14,9 @@ from data.columns.named import LENGTH
 from data.dates import ISO
 from data.earth import east_north_up
 from data.errors import DataError, UsageError, did_you_mean
+from data.formats.results import path as paths
 from data.formats.results.bags import file_and_topic, is_bag
-from data.formats.results.path import (
-    AXES,
-    COV_ORDERS,
-    DIGITS,
-    FRAMES,
-    ROWS,
-    STATED,
-    Clock,
-    GivenPath,
-    Manner,
-    restamped,
-)
+from data.formats.results.path import ROWS, STATED, Clock, GivenPath, Manner, restamped
 from data.formats.results.reading import read_path
 from data.formats.results.tables import Companions, companions
 from data.formats.tables.files import pairs
@@ -109,10 +99,11 @@ def manner_of(name: str, names: Sequence[str], reading: Matching) -> Manner:
     for text in stated:
         _known("--unit", text.rpartition("=")[2], every)
     stamps, angles, lengths = map(unit, UNITS)
+    inverse, axes = paths.READ_AS[_of("--axes", reading.axes, name, names, [*paths.READ_AS][1:]) or ""]
     return Manner(
         path("--cov", reading.cov, alone=True), path("--times", reading.times),
-        _of("--cov-frame", reading.cov_frame, name, names, FRAMES), _of("--axes", reading.axes, name, names, AXES),
-        _of("--cov-order", reading.cov_order, name, names, COV_ORDERS), stamps, angles, lengths,
+        _of("--cov-frame", reading.cov_frame, name, names, paths.FRAMES), axes or None, inverse,
+        _of("--cov-order", reading.cov_order, name, names, paths.COV_ORDERS), stamps, angles, lengths,
         _columns_of(name, names, reading) if isinstance(reading, Scoring) else {}, name == TRUTH,
     )  # fmt: skip
 
@@ -147,7 +138,7 @@ def offset_of(name: str, names: Sequence[str], reading: Matching) -> float | str
     return seconds
 
 
-UNITS = ((*DIGITS, ISO), ("rad", "deg"), tuple(LENGTH))  # of stamps, angles and positions
+UNITS = ((*paths.DIGITS, ISO), ("rad", "deg"), tuple(LENGTH))  # of stamps, angles and positions
 
 
 def _of(

@@ -27,8 +27,7 @@ from eval.replay.hindsight.relocalize import Scan, relocalize
 from eval.replay.run import step_by_step
 from eval.replay.settings import ESTIMATORS, Setup
 
-LONG = 60
-"""Frames after which hindsight has done all that it does."""
+LONG = 60  # Frames after which hindsight has done all that it does
 
 
 def _small(frames: int = 12) -> Log:

@@ -31,8 +31,7 @@ from eval.referee.residuals import COMPONENTS, OUTLYING, Residuals, Used, correl
 from eval.referee.sources import CLOSURE, OfSource, key_of, of_sources, sources_of
 from graph.qr.score_test import Redundancy, redundancy
 
-ALIKE = 3.0
-"""Log-likelihood within which two explanations cannot be told apart: odds of 20."""
+ALIKE = 3.0  # Log-likelihood within which two explanations cannot be told apart: odds of 20
 SURELY = 3.0  # standard errors
 SAME = 0.25  # largest share of its gain that an indistinguishable explanation keeps beside the other
 PLACES = 3  # frames, stretches and landmarks whose columns are formed: those with the largest residuals
@@ -58,8 +57,7 @@ VECTORS: Mapping[str, tuple[tuple[str, ...], ...]] = {
 stated, both alike (`odometry_scale`) or not, overstate ways and turns; two that differ curve."""
 LENGTHS_OF = ("mount", "lever", "offset", "odometry_current")  # vectors with one length
 TINY = 1e-300  # least variance that is divided by
-REDUNDANT = 0.05
-"""Least share of its stated variance that a residual has which counts."""
+REDUNDANT = 0.05  # Least share of its stated variance that a residual has which counts
 FEWEST = 8  # observations of a landmark, or of a stretch
 
 
@@ -498,8 +496,7 @@ def _correlated(e: Evidence, of: OfSource) -> list[Explanation]:
 MODELLED = ("systematic", "sigma", "change", "jump", "burst", "landmark", "mirrored")
 """Kinds whose corrected inputs have a likelihood."""
 FREED = 10.0  # times its mean squared residual, the variance of an increment that jumped: the residual is what is left
-UNINFORMATIVE = 1e6
-"""Factor of the covariance of a measurement that is left out, so that its variables stay determined."""
+UNINFORMATIVE = 1e6  # Factor of the covariance of a measurement that is left out, so that its variables stay determined
 
 
 def corrected(e: Evidence, finding: Finding) -> Inputs:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
@@ -27,7 +28,7 @@ from eval.plan.flags.table import Output, Scoring
 from eval.plan.results import TRUTH, Result, manner_of, offset_of, phase_of, runs_of, true_path, truth_of
 from eval.referee import consistency, errors, result_files
 from eval.referee.consistency import QUANTITIES
-from eval.referee.given.pairing import FITS, OTHER_FRAME, PLENTY, POOR
+from eval.referee.given.pairing import FITS, OTHER_FRAME, PLENTY, POOR, inverted
 from eval.referee.given.runs import GivenRun, TruePath, truth_log
 from eval.referee.metrics import OF_ESTIMATES
 from eval.referee.score import Trial, metrics_row
@@ -64,8 +65,8 @@ def printed(files: Sequence[str], truths: Sequence[str], reading: Scoring, *, in
         one, values = found[0], scores(found[0])
         first = aligned_first(one, values) if infer else None
         lead = {} if first is None else {name: values[name] for name in [str(first.named["column"])]}
-        lines = say("results#one", scores=lead | values, projected=one.projected, space=bool(one.run.space))
-        return lines, "\n".join([*([] if first is None else [sentence(first)]), *one.notes])
+        notes = "\n".join([*([] if first is None else [sentence(first)]), *one.notes])
+        return say("results#one", scores=lead | values, projected=one.projected, space=bool(one.run.space)), notes
     p = _pooled(files, found)
     return say("results#many", p=p), say("results#notes", p=p)
 
@@ -99,22 +100,30 @@ W_FIRST = "estimate.t=1,estimate.x=2,estimate.y=3,estimate.z=4,estimate.qw=5,est
 
 def scored(file: str, truth: str, reading: Scoring) -> Scored:
     """An estimate, read and matched; of a truth that is a log, the run has its frames if they are the same. Where
-    quaternions of a TUM file fit only with w first, they are read so, which is said.
+    quaternions of a TUM file fit only with w first, or poses if inverted, they are read so, which is said.
     """
-    found = _scored(file, truth, reading)
+    found, told = _scored(file, truth, reading), tuple[str, ...]()
     codes = {n.code for n in found.run.notes if n.named.get("which", "quaternion") == "quaternion"}
     own = [n for n in found.run.notes if n.code == Code.PATH_QUATERNIONS and n.named["file"] == file]
-    if not (own or Code.PATH_TILT in codes) or reading.columns or not found.run.space:
-        return found
-    try:
-        other = _scored(file, truth, replace(reading, columns=(W_FIRST,)))
-    except DataError:
-        return found
-    off = [columns_in_space(s.run.space[s.phase]).get("rmse_rotation_3d_se3_deg", math.inf) for s in (found, other)]
-    if not off[1] < off[0] / OTHER_FRAME:
-        return found
-    said = notice(Code.QUATERNION_ORDER, file=file, stated=off[0], fits=off[1])
-    return replace(other, notes=(sentence(said), *other.notes))
+    with suppress(DataError):
+        if (own or Code.PATH_TILT in codes) and not reading.columns and found.run.space:
+            w_first = replace(reading, columns=(W_FIRST,))
+            both = found, _scored(file, truth, w_first)
+            off = [columns_in_space(s.run.space[s.phase]).get("rmse_rotation_3d_se3_deg", math.inf) for s in both]
+            if off[1] < off[0] / OTHER_FRAME:
+                told = (sentence(notice(Code.QUATERNION_ORDER, file=file, stated=off[0], fits=off[1])),)
+                found, reading = both[1], w_first
+    back = inverted(found.run.space[found.phase]) if found.run.space else None
+    if back is not None and not any("inverse" in value for value in reading.axes):
+        k, how, stated, fits = back
+        axes = manner_of((ESTIMATE, TRUTH)[k], [ESTIMATE], reading).axes
+        flag = f"{(ESTIMATE, TRUTH)[k]}={how}{f'-{axes}' * bool(axes)}"
+        sure = not axes and (k == 1 or found.run.space[found.phase].original.covariance is None)
+        told += (sentence(notice(
+            Code.INVERSE_POSES, file=(file, truth)[k], how=how, stated=stated, fits=fits, flag=flag, inferred=sure,
+        )),)  # fmt: skip
+        found = _scored(file, truth, replace(reading, axes=(*reading.axes, flag))) if sure else found
+    return replace(found, notes=(*told, *found.notes))
 
 
 def _scored(file: str, truth: str, reading: Scoring) -> Scored:
@@ -158,8 +167,7 @@ def scores(s: Scored) -> dict[str, float]:
     row["rmse_heading_rad"] = math.radians(errors.heading_rmse_deg(pose, truth))
     rest = [m.column for m in OF_ESTIMATES if m.column not in (*FIRST, *LEFT_OUT)]
     rest.insert(rest.index("rmse_heading_deg") + 1, "rmse_heading_rad")
-    names = [*FIRST, *rest]
-    values = {name: row.get(name) for name in names}
+    values = {name: row.get(name) for name in (*FIRST, *rest)}
     found = {name: float(v) for name, v in values.items() if isinstance(v, (int, float)) and math.isfinite(v)}
     return found | (columns_in_space(s.run.space[s.phase]) if s.phase in s.run.space else {})
 
@@ -213,12 +221,10 @@ def _sample(s: Scored) -> Sample:
 
 def space_rows(trials: Sequence[Trial]) -> list[dict[str, object]]:
     """The rows of space.csv."""
-    found: list[dict[str, object]] = []
-    for trial, run, phase in _in_space(trials):
-        key = (trial.log.name, run.task, run.estimator, run.association, phase)
-        values = columns_in_space(run.space[phase])
-        found += [dict(zip(result_files.SPACE.names, (*key, name, v), strict=True)) for name, v in values.items()]
-    return found
+    return [
+        dict(zip(result_files.SPACE.names, (t.log.name, r.task, r.estimator, r.association, *row), strict=True))
+        for t, r, phase in _in_space(trials) for row in ((phase, *v) for v in columns_in_space(r.space[phase]).items())
+    ]  # fmt: skip
 
 
 def _in_space(trials: Sequence[Trial]) -> Iterator[tuple[Trial, GivenRun, str]]:

@@ -37,8 +37,7 @@ from graph.qr.score_test import evidence
 
 SHARES = ("semidefinite", "inside_x", "inside_y", "inside_theta")
 """How statistics end that are shares of frames: next to discrete, and left out of the family."""
-FEWEST, SURE_OF_IT = 19, 39
-"""Least numbers of twins for a family-wise level of 5 %, and for one of half that."""
+FEWEST, SURE_OF_IT = 19, 39  # Least numbers of twins for a family-wise level of 5 %, and for one of half that
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,11 @@ from datetime import datetime, timedelta
 import numpy as np
 import pytest
 from scipy.io import savemat
+from scipy.spatial.transform import Rotation
 
 from data.formats.results.path import Manner
 from data.formats.results.reading import only_reading, read_path
+from data.se3 import exp_rotation
 from eval.score import main as score
 
 T = 0.2 * np.arange(60)
@@ -239,3 +241,67 @@ def test_rows_of_both_whose_stamps_repeat_are_compared_one_by_one(scored):
     text = table({"time": np.floor(T), "x": MINE[:, 0], "y": MINE[:, 1], "gt_x": TRUE[:, 0], "gt_y": TRUE[:, 1]})
     values = scored(text)
     assert (values["rmse_position_m"], values["matched"]) == (pytest.approx(0.1), 60)
+
+
+STEPS = 0.1 * np.arange(240)
+R = exp_rotation(np.column_stack([0.2 * np.sin(STEPS), 0.1 * np.cos(2.0 * STEPS), 2.0 * np.sin(0.7 * STEPS)]))
+P = np.cumsum(R @ [1.0, 0.0, 0.0] * (0.2 + 0.1 * np.sin(3.0 * STEPS[:, None])), axis=0)
+NOISE = np.random.default_rng(1).normal(0.0, 0.01, P.shape)
+
+
+def kitti(R, p, word=""):
+    return "\n".join(word + " ".join(f"{v:.9g}" for v in row) for row in np.dstack([R, p]).reshape(-1, 12))
+
+
+def tum(R, p):
+    return "\n".join(
+        " ".join(f"{v:.9g}" for v in row) for row in np.column_stack([STEPS, p, Rotation.from_matrix(R).as_quat()])
+    )
+
+
+@pytest.mark.parametrize(
+    ("k", "axes"), [(0, "inverse"), (1, "inverse"), (0, "inverse-rotations"), (1, "inverse-rotations")]
+)
+@pytest.mark.parametrize("written", [kitti, tum])
+def test_poses_of_the_world_in_the_body_are_inverted(scored, k, axes, written):
+    poses, back = [(R, P + NOISE), (R, P)], R.transpose(0, 2, 1)
+    sound = scored(*(written(*pose) for pose in poses))
+    assert sound["rmse_position_3d_m"] == pytest.approx(0.017, abs=1e-3)
+    p = poses[k][1]
+    poses[k] = back, p if axes == "inverse-rotations" else -np.einsum("nij,nj->ni", back, p)
+    texts = [written(*pose) for pose in poses]
+    flags = ("--axes", f"{('estimate', 'truth')[k]}={axes}")
+    assert scored(*texts) == scored(*texts, flags=flags) == pytest.approx(sound, rel=1e-4, abs=1e-6)
+    assert scored(*texts, flags=("--axes", "robot"))["rmse_rotation_3d_deg"] > 60.0
+
+
+def test_words_before_poses_are_left_out_and_rows_are_shifted_to_fit(scored):
+    """Twelve or eight numbers; one row fewer at the start."""
+    plain, true = scored(kitti(R, P + NOISE), kitti(R, P)), kitti(R, P)
+    words = "".join(
+        f"{('key:', 'other:')[k % 3 > 0]} {row}\n" for k, row in enumerate(kitti(R, P + NOISE).splitlines())
+    )
+    assert scored(words, true) == plain
+    fewer = words.partition("\n")[2]
+    assert scored(fewer, true)["rmse_position_3d_m"] == pytest.approx(plain["rmse_position_3d_m"], rel=0.02)
+    assert "which belong together" in scored(kitti(R[9:], P[9:]), true, wrong=True)
+
+
+def octave(name, rows):
+    head = f"# name: {name}\n# type: matrix\n# rows: {len(rows)}\n# columns: {len(rows[0])}\n"
+    return head + "".join(" ".join(map(repr, row)) + "\n" for row in rows) + "\n\n"
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_columns_that_nobody_names_are_no_orientations(tmp_path, capsys, text):
+    file, odd = tmp_path / "both.mat", np.ones((70, 1))
+    savemat(file, {"est": MINE, "other": {"rot_err": odd}, "gt": TRUE, "n": 1.0})
+    if text:
+        other = "# name: other\n# type: scalar struct\n# ndims: 2\n 1 1\n# length: 1\n" + octave(
+            "rot_err", odd.tolist()
+        )
+        both = (octave("est", MINE.tolist()), other, octave("gt", TRUE.tolist()), "# name: n\n# type: scalar\n1\n")
+        file.write_text("# Created by Octave 9.2.0\n" + "".join(both))
+    columns = "estimate.x=est_1,estimate.y=est_2,truth.x=gt_1,truth.y=gt_2"
+    assert score([str(file), "--columns", columns]) == 0
+    assert "rmse_position_m 0.1\n" in capsys.readouterr().out

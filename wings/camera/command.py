@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from wings.camera.calibration import Belief, CameraEstimate
 
 PROG = "slamref camera"
-SIGMA = 0.2
-"""px, of a corner. Within a frame it is 0.08, but an error of a picture's corners lasts over frames."""
+SIGMA = 0.2  # px, of a corner. Within a frame it is 0.08, but an error of a picture's corners lasts over frames
 SIZES = (0.5, 0.05)
 """Standard deviations of the prior over the image's size: of the focal length, which is about the width, and of the
 centre, which is about the middle."""

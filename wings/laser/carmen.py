@@ -64,8 +64,7 @@ ODOM, FLASER, ROBOTLASER, PARAM, NEFF = "ODOM", "FLASER", "ROBOTLASER1", "PARAM"
 SCANS = (FLASER, ROBOTLASER)
 POSES = ("x", "y", "theta", "odom_x", "odom_y", "odom_theta")
 HEAD = ("type", "start_angle", "fov", "resolution", "max_range", "accuracy", "remission_mode")
-TAIL = 3
-"""Fields at the end of a line: stamp, host, stamp of the logger."""
+TAIL = 3  # Fields at the end of a line: stamp, host, stamp of the logger
 ODOM_FIELDS = 1 + 6 + TAIL
 
 
@@ -318,12 +317,10 @@ def _stated_again(lines: CarmenLines) -> BoolArray:
 
 ENDINGS = (".log", ".clf")
 RELATIONS = (".relations.csv", ".relations")
-REACH = 80.0
-"""m, reach of the SICK LMS 2xx; its codes for no return begin at 81.83 m."""
+REACH = 80.0  # m, reach of the SICK LMS 2xx; its codes for no return begin at 81.83 m
 SIGMA = 0.01  # m, of a range: the resolution, above the noise of 5 mm (data sheet of the LMS 200)
 OFFSET = "robot_frontlaser_offset"
-LARGEST_RANGE = ("laser_max_range", "robot_front_laser_max")
-"""Parameters that state the reach."""
+LARGEST_RANGE = ("laser_max_range", "robot_front_laser_max")  # Parameters that state the reach
 FEWEST_KEPT = 0.5  # Least share of the scans that frames of ODOM lines keep
 STILL = 0.9  # Share of stamps that do not increase, from which on a clock does not run
 MOUNTED = 0.01  # m, rad, largest variation of a laser's pose on the robot, as given by the line's two poses

@@ -15,8 +15,7 @@ from data.se2 import Array, between, dead_reckoned, inverse, transform_points
 from wings.laser.scans.points import beams_of
 
 K = TypeVar("K")
-FEWEST = 20
-"""Least number of scans for a question."""
+FEWEST = 20  # Least number of scans for a question
 
 
 def no_odometry(log: Log, scans: Scans) -> list[Notice]:

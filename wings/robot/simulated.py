@@ -181,8 +181,7 @@ BRAKING = 0.1  # s in which the loop stops a wheel from full speed
 PATIENCE = protocol.WATCHDOG - BRAKING - 2.0 * STEP
 """s without a command after which the firmware brakes, so that the robot stands at `WATCHDOG`."""
 METRES_PER_TICK = 2.0 * math.pi * protocol.WHEEL_RADIUS / protocol.TICKS_PER_TURN
-SHORTEST_RANGE = 0.02
-"""m. Nearer echoes return while the sonar still sends."""
+SHORTEST_RANGE = 0.02  # m. Nearer echoes return while the sonar still sends
 
 
 @dataclass(frozen=True)

@@ -187,12 +187,9 @@ def read_tum(text: Text, manner: paths.Manner) -> paths.GivenPath:
 
 def read_wide(text: Text, manner: paths.Manner) -> paths.GivenPath:
     """A wide TUM file, with the covariance after the pose: a triangle, or the full matrix."""
-    if len(text.fields[0]) == len(POSE) + len(ENTRIES_6):
-        rows = numbers(text, (*POSE, *ENTRIES_6), huge=POSE[:1])
-        C, notes = full(rows[:, 8:], text.place)
-    else:
-        rows = numbers(text, (*POSE, *TRIANGLE), huge=POSE[:1])
-        C, notes = symmetric(rows[:, 8:], lower=True), ()
+    square = len(text.fields[0]) == len(POSE) + len(ENTRIES_6)
+    rows = numbers(text, (*POSE, *(ENTRIES_6 if square else TRIANGLE)), huge=POSE[:1])
+    C, notes = full(rows[:, 8:], text.place) if square else (symmetric(rows[:, 8:], lower=True), ())
     return path_of(text, "TUM with covariance", times_of(text, rows[:, 0], manner), rows[:, :8], C, manner, notes=notes)
 
 
@@ -242,8 +239,7 @@ def times_of(
     *, unit: str | None = None, usual: str = "s", column: int = 0,
 ) -> tuple[Array, paths.Clock]:  # fmt: skip
     """Times (n,) [s] of stamps (n,) in a column of a file, and their clock: given, of a flag, stated, or inferred."""
-    # DataError where known stamps (n,) decrease.
-    known = np.flatnonzero(np.isfinite(stamps))
+    known = np.flatnonzero(np.isfinite(stamps))  # DataError where they decrease
     back = np.flatnonzero(np.diff(stamps[known]) < 0.0)
     if len(back):
         k, before = int(known[back[0] + 1]), int(known[back[0]])

@@ -85,6 +85,8 @@ perturbation); T = Exp(xi) T_mean, in the world's axes about its origin (left pe
 axes and rotation in the body's (OpenVINS)."""
 ROBOT, CAMERA = "robot", "camera"
 AXES = (ROBOT, CAMERA)  # Of world and body: x forward, y left, z up (REP 103); x right, y down, z forward (KITTI)
+INVERSE = ("inverse", "inverse-rotations")  # Poses of the world in the body, or their rotations alone
+READ_AS = {"-".join(filter(None, (i, a))): (i, a) for i in ("", *INVERSE) for a in ("", *AXES)}  # Values of --axes
 TRANSLATION, ROTATION = "translation-first", "rotation-first"
 COV_ORDERS = (TRANSLATION, ROTATION)
 
@@ -99,6 +101,7 @@ class Stated:
     convention: bool = False  # whether it states the frame of its covariances
     order: bool = False  # whether it states the order of their tangent
     axes: bool = False  # whether the axes are those of its format (not chosen by a flag)
+    inverse: str = ""  # as of `Manner`
 
 
 SILENT, UNKNOWN = Stated(), Clock()
@@ -209,6 +212,7 @@ class Manner:
     times: Path | None = None  # file with the stamps of KITTI poses
     frame: str | None = None  # of the covariances (`FRAMES`); None: the format's
     axes: str | None = None  # of a trajectory in space (`AXES`); None: the format's
+    inverse: str = ""  # one of `INVERSE`; empty: poses are of the body in the world
     order: str | None = None  # of the covariances' tangent (`COV_ORDERS`); None: the file's
     stamps: str | None = None  # unit of the stamps; None: as stated or inferred
     angles: str | None = None  # unit of headings, roll and pitch (`rad`, `deg`); None: as stated, else rad

@@ -266,7 +266,7 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     quaternion = [q for q in POSE[4:] if q in place]
     for role in (*(("lat", "lon") if "lat" in place else ("x", "y")), *(POSE[4:] if quaternion else ())):
         if role not in place:
-            what = f"the header names no column {role}: {', '.join(columns.order) or 'none'} are known"
+            what = f"no column {role} is named: {', '.join(columns.order) or 'none'} are known"
             ends = [name for name in columns.unread if words_of(name)[0][-1:] == [role]][:SHOWN]
             what += f"; {', '.join(ends)} may be {role}" if ends else "; docs/results-files.md lists the names"
             what += f"; type --columns {'truth.' * manner.true}{role}={(ends or ['NAME'])[0]}"
@@ -274,8 +274,9 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     dated = _in_seconds(body, place["t"]) if "t" in place else body
     value = {"t": np.arange(len(body.fields), dtype=float)} | _values(dated, columns)
     absent = not quaternion and "yaw" not in place
-    if absent and (turned := [name for name in columns.unread if re.search(r"(?i)q\d|quat|rot|orient", name)]):
-        what = f"the header names no orientation ({', '.join(turned)} are unknown); qx, qy, qz, qw or yaw is needed"
+    asked = absent and not manner.columns.keys() & {"x", "lat"}
+    if asked and (turned := [n for n in columns.unread if re.search(r"(?i)q\d|quat|rot|orient", n)]):
+        what = f"no orientation is named ({', '.join(turned)} are unknown); qx, qy, qz, qw or yaw is needed"
         raise DataError.at(text.path, what, line=columns.line)
     if absent:
         value["yaw"] = np.zeros(len(body.fields))
@@ -515,7 +516,7 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
     elif path.is_dir():
         raise DataError.at(path, "a folder; a result is a file, or the folder of a run with online.csv or final.csv")
     else:
-        text = lines.read_text(path)
+        text = _without_words(lines.read_text(path), manner)
         read = _reader(text, manner)
         found, cov, times = read(text, manner), read is lines.read_tum, read is lines.read_kitti
         found = replace(found, notes=(*found.notes, text.cut)) if text.cut else found
@@ -528,10 +529,23 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
         raise UsageError(f"--cov {manner.cov}: {name} is {found.kind}; a TUM file of 8 columns is needed")
     if manner.times is not None and not times:
         raise UsageError(f"--times {manner.times}: {name} is {found.kind}; KITTI poses are needed")
+    if manner.inverse and found.space is None:
+        raise UsageError(f"--axes {manner.inverse}: {name} has no poses in 3-D")
     for flag, value in (("--cov-frame", manner.frame), ("--cov-order", manner.order)):
         if value is not None and found.covariance is None:
             raise UsageError(f"{flag} {value}: {name} has no covariance")
     return found
+
+
+def _without_words(text: Text, manner: Manner) -> Text:
+    """The text without a word before each pose of KITTI or TUM, which is said; any other as it is."""
+    body, words = replace(text, fields=tuple(row[1:] for row in text.fields)), {row[0] for row in text.fields}
+    if manner.columns or len(body.fields[0]) not in WIDTHS or any(map(is_number, words)):
+        return text
+    if not are_matrices(body, 0) and tuple(only_reading(body.fields)) != POSE:
+        return text
+    said = f"a word before each pose is left out ({', '.join(sorted(words))[:60]}); FILE:WORD reads those of one"
+    return replace(body, cut="; ".join(filter(None, (text.cut, said))))
 
 
 def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:

@@ -38,6 +38,11 @@ def rotations(quaternion: Array, place: Callable[[int], str]) -> Array:
 def on_plane(spatial: Spatial, manner: Manner) -> GivenPath:
     """The trajectory in the plane, without rows with NaN. DataError: a bad or contradicted covariance, or no row."""
     s, frame, C = spatial, spatial.frame, spatial.covariance
+    if manner.inverse:
+        R, notes = s.rotation.transpose(0, 2, 1), ("covariances of inverse poses are left out",) * (C is not None)
+        p = s.position if manner.inverse.endswith("rotations") else -np.einsum("nij,nj->ni", R, s.position)
+        stated, C = replace(s.stated, inverse=manner.inverse), None
+        s = replace(s, position=p, rotation=R, covariance=C, notes=(*s.notes, *notes), stated=stated)
     if C is not None and manner.frame is not None:
         if s.stated.convention and manner.frame != s.frame:
             raise DataError.at(s.file, f"its header states {s.frame} covariances; remove --cov-frame {manner.frame}")

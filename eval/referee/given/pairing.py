@@ -18,31 +18,19 @@ import scipy
 from data import se2, se3
 from data.errors import DataError
 from data.formats.recordings.ros import Tree, bare
-from data.formats.results.path import (
-    ASSUMED,
-    DIGITS,
-    LEFT,
-    LOCAL,
-    RATE,
-    ROTATION,
-    ROWS,
-    WORLD,
-    Clock,
-    GivenPath,
-    Spatial,
-    restamped,
-)
+from data.formats.results import path as paths
+from data.formats.results.path import ROWS, Clock, GivenPath, Spatial, restamped
 from data.formats.results.space import flattened, in_frame, translation_first
 from data.inputs import IntArray
 from data.notice import Code, Notice, notice
 from data.questions.examination import LEAST, heading_unit, paths_otherwise
-from data.questions.readings import Kind
-from data.se2 import Array, BoolArray, compose, interpolate, rigid_fit
+from data.questions.readings import TINY, Kind
+from data.se2 import Array, BoolArray, compose, interpolate, rigid_fit, wrap_angle
 from data.timeline import MAX_GAP, truth_at
 from data.truth_windows import leaps
 from eval.referee.consistency import nees
 from eval.referee.errors import aligned_distance, rms
-from eval.referee.given.in_space import NONE, SAME_VERTICAL, SE3, YAW, InSpace, Poses, aligning, poses, tilts
+from eval.referee.given.in_space import NONE, SAME_VERTICAL, SE3, SIM3, YAW, InSpace, Poses, aligning, poses, tilts
 
 HALF = 0.25  # s either side of an instant for its rates, or one and a half steps of the slower path if longer
 MOST = 2**16  # largest number of instants of a path
@@ -166,17 +154,24 @@ def same_clock(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
     """
     if ROWS in (a.clock.by, b.clock.by):
         lacking, other = (a, b) if a.clock.by == ROWS else (b, a)
-        if len(lacking) != len(other):
+        k = shift(a, b) if len(a) != len(b) else 0
+        if k is None:
             what = f"{len(lacking)} poses without stamps, and {len(other)} of {other.file}: which belong together?"
             needed = "As many in both are needed, or --times NAME=FILE, a stamp [s] a line"
             raise DataError.at(lacking.file, f"{what} {needed}")
-        stamped = restamped(lacking, other.time, other.clock)
-        return (stamped, b) if lacking is a else (a, stamped)
+        at = np.arange(len(lacking)) + (k if lacking is a else -k)
+        time = np.interp(at, np.arange(len(other)), other.time)
+        time += (at - np.clip(at, 0, len(other) - 1)) * float(np.median(np.diff(other.time)))
+        stamped = restamped(lacking, time, other.clock)
+        a, b = (stamped, b) if lacking is a else (a, stamped)
+        first = f"row {1 + max(0, -k)} of {a.file} is of row {1 + max(0, k)} of {b.file}"
+        said = (f"inferred: {first}, as their motions fit best so",) * (len(a) != len(b))
+        return replace(a, notes=(*a.notes, *said)), b
     a, b = _plain_if_better(a, b), _plain_if_better(b, a)
     (span_a, step_a), (span_b, step_b) = _span(a), _span(b)
-    sure = {a.clock.by, b.clock.by} & {ASSUMED, RATE}
+    sure = {a.clock.by, b.clock.by} & {paths.ASSUMED, paths.RATE}
     if sure and min(span_a, span_b, step_a, step_b) > 0.0:
-        for name, factor in [*((n, 10.0**digits) for n, digits in DIGITS.items()), ("min", 60.0)]:
+        for name, factor in [*((n, 10.0**digits) for n, digits in paths.DIGITS.items()), ("min", 60.0)]:
             for slow, fast, spans, steps in (
                 (a, b, span_a / span_b, step_a / step_b),
                 (b, a, span_b / span_a, step_b / step_a),
@@ -184,9 +179,34 @@ def same_clock(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
                 if factor > 1.0 and abs(spans / factor - 1.0) < 0.1 and 1.0 / 3.0 < steps / factor < 3.0:
                     what = f"stamps span {_span(slow)[0]:.6g} s, those of {fast.file} {_span(fast)[0]:.6g} s"
                     ask = f"are they {name} in one of the two? State the units: --unit NAME={name}, --unit NAME=s"
-                    ask = ask if name in DIGITS else "are they min in one of the two? Write s"
+                    ask = ask if name in paths.DIGITS else "are they min in one of the two? Write s"
                     raise DataError.at(slow.file, f"{what}: {ask}")
     return a, b
+
+
+SHIFTS, MANY, KEPT, CLEARLY = 2, 100, 0.9, 0.5
+"""Most rows between beginnings, but for a difference in number; fewest poses; share of motions that are compared;
+largest ratio of the errors of the best shift to those of any other."""
+
+
+def shift(a: GivenPath, b: GivenPath, at: int = 0) -> int | None:
+    """By how many rows motions of `a` are earlier in it than in `b`, where one number fits clearly best; None: none."""
+    more, steps, off = len(b) - len(a), list[Array](), dict[int, float]()
+    flat = any(f.space is None or not np.isfinite(f.space.rotation).all() for f in (a, b))
+    if min(len(a), len(b)) < MANY or abs(more) > FEW:
+        return None
+    for f in (a, b):
+        place, turned = f.pose[:, :2], wrap_angle(np.diff(f.pose[:, 2]))
+        if f.space is not None and not flat:
+            place, turned = f.space.position, se3.angle_between(f.space.rotation[:-1], f.space.rotation[1:])
+        each = np.abs([np.linalg.norm(np.diff(place, axis=0), axis=1), turned])
+        steps.append(each / np.maximum(np.sort(each)[:, : int(KEPT * len(f))].mean(axis=1, keepdims=True), TINY))
+    for k in range(min(0, more) + at - SHIFTS, max(0, more) + at + SHIFTS + 1):
+        i = np.arange(max(0, -k), min(len(a), len(b) - k) - 1)
+        each = np.sort(np.abs(steps[0][:, i] - steps[1][:, i + k]))[:, : int(KEPT * len(i))].mean(axis=1)
+        off[k] = float(np.prod(each[np.isfinite(each)]))
+    best, second, *_ = sorted(off, key=lambda k: off[k])
+    return best if off[best] < CLEARLY * off[second] else None
 
 
 def _span(path: GivenPath) -> tuple[float, float]:
@@ -198,12 +218,11 @@ def _span(path: GivenPath) -> tuple[float, float]:
 
 def _plain_if_better(path: GivenPath, other: GivenPath) -> GivenPath:
     """A path whose unit was inferred by its rate, with stamps in s where the other's span fits those better."""
-    if path.clock.by != RATE or other.clock.unit != "s":
+    if path.clock.by != paths.RATE or other.clock.unit != "s":
         return path
-    plain = path.time * 10.0 ** DIGITS[path.clock.unit]
-    if _overlap(plain, other.time) <= 2.0 * _overlap(path.time, other.time):
-        return path
-    return restamped(path, plain, Clock("s", ASSUMED))
+    plain = path.time * 10.0 ** paths.DIGITS[path.clock.unit]
+    better = _overlap(plain, other.time) > 2.0 * _overlap(path.time, other.time)
+    return restamped(path, plain, Clock("s", paths.ASSUMED)) if better else path
 
 
 def _overlap(time: Array, other: Array) -> float:
@@ -279,7 +298,7 @@ def _axes(path: GivenPath) -> Iterator[Notice]:
     # in the file's own axes x is -y, y is -z, and z is x of the robot's
     for wanted, flattest, low, wide, extent in (("camera", "y", y, x, (x, y, z)), ("robot", "z", x, y, (y, z, x))):
         if low <= wide and low < FLAT * z and z > STEEP * wide and bool(s.stated.axes) == (wanted == "robot"):
-            flag = f"--axes NAME={wanted}"
+            flag = f"--axes NAME={'-'.join(filter(None, (s.stated.inverse, wanted)))}"
             yield notice(Code.PATH_AXES, file=path.file, wanted=wanted, flattest=flattest, extent=extent, flags=(flag,))
 
 
@@ -297,6 +316,10 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
     if pair.truth is not None and pair.truth.covariance is not None and pair.estimate.covariance is None:
         yield notice(Code.PATH_SWAPPED, estimate=pair.estimate.file, truth=pair.truth.file)
     yield from _order(pair, known)
+    if (t := pair.truth) is not None and t.clock.by == pair.estimate.clock.by == ROWS and len(t) == len(pair.estimate):
+        at = round(float(pair.estimate.time[0] - t.time[0]))
+        if (k := shift(pair.estimate, t, at)) not in (None, at):
+            yield notice(Code.PATH_SHIFT, file=pair.estimate.file, other=t.file, flags=(f"--time-offset NAME={k}",))
     files = [about_file(f) for f in (pair.estimate, pair.truth) if f is not None]
     alone = [question for asked in files for question in asked]  # which explain what both say together
     found = [*_otherwise(pair, known, placed)] if placed.sum() >= FEW and not alone else []
@@ -345,9 +368,9 @@ def _order(pair: Pair, known: BoolArray) -> Iterator[Notice]:
     if s is None or s.covariance is None or known.sum() < 3:
         return
     turned = replace(s, covariance=translation_first(s.covariance))
-    others = {} if s.stated.order else {f"--cov-order {ROTATION}": turned}
+    others = {} if s.stated.order else {f"--cov-order {paths.ROTATION}": turned}
     if not s.stated.convention:
-        others |= {f"--cov-frame {f}": replace(s, frame=f) for f in (WORLD, LOCAL, LEFT) if f != s.frame}
+        others |= {f"--cov-frame {f}": replace(s, frame=f) for f in paths.FRAMES[:3] if f != s.frame}
     as_read, best = _mean_nees(s, pair.at), (math.inf, "")
     for flag, other in others.items():
         best = min(best, (_mean_nees(other, pair.at), flag))
@@ -392,7 +415,7 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     fitted = np.median(tilts(Poses(ours.position, turned), theirs))
     first = bool(not both.estimate.stated.axes and _same_vertical(ours, theirs) and fitted < 0.5 * TILTED)
     which = "quaternion" if first else "world" if same_world else "body"
-    flags, degrees = ("--axes NAME=camera",), math.degrees(tilt)
+    flags, degrees = ("--axes NAME=camera",) * (which != "body" or _apart(ours, theirs)[1] < SURELY), math.degrees(tilt)
     yield notice(Code.PATH_TILT, estimate=path.file, truth=truth.file, tilt=degrees, which=which, flags=flags)
 
 
@@ -529,9 +552,53 @@ def _first_is_w(path: GivenPath) -> bool:
 LEVEL = 0.02  # largest entry of a quaternion that is none but rounding and tilt
 
 
+SURELY, HALF = 30.0, 2.0  # deg, largest error of rotations, and least ratio of errors, of poses that fit if inverted
+
+
+def inverted(both: InSpace) -> tuple[int, str, float, float] | None:
+    """Poses that fit the other file's by far better if they, or their rotations alone, are inverted: the estimate's (0)
+    or the truth's (1), which of `INVERSE`, and errors of rotations [deg] as read and then.
+    """
+    pair, found = [poses(both.original), both.truth], list[tuple[float, int, str, float, float]]()
+    rows = pair[0].known & pair[1].known
+    if rows.sum() < PLENTY:
+        return None
+    pair = [p.of(rows) for p in pair]
+    far, stated, _ = _apart(*pair)
+    for k, p in enumerate(pair):
+        back = np.swapaxes(p.rotation, -1, -2)
+        whole = -np.einsum("nij,nj->ni", back, p.position)
+        for how, position, better in zip(paths.INVERSE, (whole, p.position), (HALF, OTHER_FRAME), strict=True):
+            other = Poses(position, back)
+            off, left, narrow = _apart(*(other if i == k else q for i, q in enumerate(pair)))
+            if HALF * off < (far if position is whole else narrow) and left < min(SURELY, stated / better):
+                found.append((_driven(p) / _driven(other), k, how, stated, left))
+    return min(found)[1:] if found else None
+
+
+def _driven(p: Poses) -> float:
+    """How likely a path is driven: short, unlike the world's from a body that turns, and along one axis of the body."""
+    way = np.diff(p.position, axis=0)
+    ahead = np.linalg.norm(np.einsum("nji,nj->i", p.rotation[1:], way))
+    return float(max(ahead, TINY) / max(np.linalg.norm(way, axis=1).sum() ** 2, TINY))
+
+
+def _apart(a: Poses, b: Poses) -> tuple[float, float, float]:
+    """RMS errors after Sim(3): of positions as a share of the path, of rotations but for one of the body [deg]; and the
+    share of the path's second axis, about which positions tell the turn.
+    """
+    fit = aligning(a, b, SIM3)
+    assert fit is not None  # there are matches
+    size = np.linalg.svd((b.position - b.position.mean(axis=0)) / math.sqrt(len(b.position)), compute_uv=False)
+    off = rms(np.linalg.norm(fit.scale * a.position @ fit.R.T + fit.t - b.position, axis=1))
+    spread = _spread(np.swapaxes(fit.R @ a.rotation, -1, -2) @ b.rotation)
+    return off / max(math.hypot(*size), TINY), math.degrees(spread), size[1] / max(math.hypot(*size), TINY)
+
+
 def _spread(R: Array) -> float:
-    """Median angle [rad] of rotations (n, 3, 3) from the first."""
-    return float(np.median(se3.angle_between(np.broadcast_to(R[0], R.shape), R)))
+    """RMS angle [rad] of rotations (n, 3, 3) from their mean."""
+    U, _, Vt = np.linalg.svd(R.sum(axis=0))
+    return rms(se3.angle_between(np.broadcast_to(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt, R.shape), R))
 
 
 def _same_vertical(ours: Poses, theirs: Poses) -> bool:

@@ -28,8 +28,7 @@ from wings.laser.scans.uncertainty import residuals
 TASK = "slam"
 PLAIN = Setup()
 NO_OBSERVATIONS = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
-LOOP = "loop"
-"""Source of the closures that are loops."""
+LOOP = "loop"  # Source of the closures that are loops
 
 
 class Solved(NamedTuple):
