@@ -31,8 +31,7 @@ def frame_times(at: Array, first: float, last: float, max_gap: float = MAX_GAP) 
         raise ValueError(f"every instant must lie within [{first}, {last}]")
     given = np.unique(np.concatenate([[first, last], at]))
     gap = np.diff(given)
-    # unix stamps are rounded, so a gap of 1 s may seem longer
-    rounding = 4.0 * np.spacing(max(abs(first), abs(last)))
+    rounding = 4.0 * np.spacing(max(abs(first), abs(last)))  # unix stamps are rounded, so a gap of 1 s may seem longer
     parts = np.maximum(np.ceil((gap - rounding) / max_gap), 1.0).astype(np.int64)
     owner = np.repeat(np.arange(len(gap)), parts - 1)
     nth = np.arange(len(owner)) - np.repeat(np.cumsum(parts - 1) - (parts - 1), parts - 1) + 1

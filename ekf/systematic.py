@@ -104,8 +104,7 @@ def predict_with_errors(mean: Array, P: Array, d: int, motion: Array, M: Array, 
                 P[a, j] *= decay
             for j in range(d):
                 P[j, a] = P[a, j]
-            # the diagonal entry was scaled once
-            P[a, a] = decay * P[a, a] + fresh * errors.drift[0]
+            P[a, a] = decay * P[a, a] + fresh * errors.drift[0]  # the diagonal entry was scaled once
     every, corrected, A, G = np.zeros(7), np.empty(3), np.empty((3, 7)), np.empty((3, 3))
     for q in range(p):
         every[errors.place[q]] = mean[3 + q]

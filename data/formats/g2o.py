@@ -341,8 +341,7 @@ def written(
         information = np.linalg.inv(P)
         ends = [a] if tag in (PRIOR, POSITION) else [a, b]
         lines.append(_line(tag, ends, [*np.ravel(measured), *information[np.triu_indices(len(P))]]))
-    # last, because gtsam's reader stops there
-    lines += [f"{FIX} {i}" for i in fixed]
+    lines += [f"{FIX} {i}" for i in fixed]  # last, because gtsam's reader stops there
     return "\n".join(lines) + "\n"
 
 

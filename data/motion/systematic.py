@@ -182,8 +182,7 @@ def stated(way: Array, errors: Array, mount: Array, leftwards: bool, m: Array, b
     ct, st = math.cos(turn), math.sin(turn)
     qx, qy = ct * mount[0] - st * mount[1], st * mount[0] + ct * mount[1]
     ux, uy = ax + mount[0] - qx, ay + mount[1] - qy
-    # as the odometry measures it
-    D = math.copysign(math.hypot(ux, uy), ux)
+    D = math.copysign(math.hypot(ux, uy), ux)  # as the odometry measures it
     Dx, Dy = (ux / D, uy / D) if D != 0.0 else (1.0, 0.0)
     d = D / scale
     side = LEFT if leftwards else RIGHT

@@ -240,8 +240,7 @@ def floor_covariances(covariance: Array, floor: float) -> tuple[Array, int]:
     if floor <= 0.0 or len(result) < 2:
         return result, 0
     smallest, _, largest = np.linalg.eigvalsh(result).T
-    # slack for rounding of the floor and the eigenvalues
-    low = smallest < floor * (1.0 - 1e-6) - 1e-15 * largest
+    low = smallest < floor * (1.0 - 1e-6) - 1e-15 * largest  # slack for rounding of the floor and the eigenvalues
     low[0] = False
     # a matrix indefinite by rounding needs more than the floor
     result[low] += (floor + np.maximum(-smallest[low], 0.0))[:, None, None] * np.eye(3)

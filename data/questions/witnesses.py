@@ -212,8 +212,7 @@ def _same_id(c: Case) -> tuple[IntArray, IntArray]:
     step = float(np.median(np.diff(c.time))) if len(c.time) > 1 else 1.0
     lag = max(LAGS[0], 2.0 * step)
     span = float(c.time[-1] - c.time[0]) + 10.0 * lag
-    # stamps of all ids on one line, each id behind the one before
-    line = c.id[by] * span + (c.at[by] - c.time[0])
+    line = c.id[by] * span + (c.at[by] - c.time[0])  # stamps of all ids on one line, each id behind the one before
     later = np.searchsorted(line, line + lag - 1e-9)
     fine = np.flatnonzero(later < len(by))
     fine = fine[line[later[fine]] - line[fine] <= max(LAGS[1], 8.0 * step)]

@@ -89,14 +89,12 @@ class Circle:
 def simulate(circle: Circle, seed: int, name: str | None = None) -> Log:
     """One log of the circle world, reproducible to the byte; labels are the true ids, ascending in each frame."""
     odometry_rng, sensor_rng, prior_rng = streams(seed, 3)
-    # True poses (N, 3).
-    theta = circle.turn_rate * circle.period * np.arange(circle.frames, dtype=np.float64)
+    theta = circle.turn_rate * circle.period * np.arange(circle.frames, dtype=np.float64)  # True poses (N, 3)
     step = circle.speed * circle.period * np.stack([np.cos(theta), np.sin(theta)], axis=1)
     truth = np.zeros((circle.frames, 3))
     truth[1:, :2] = np.cumsum(step[:-1], axis=0)
     truth[:, 2] = wrap_angle(theta)
-    # The map.
-    angle = 2.0 * math.pi * np.arange(circle.landmarks) / circle.landmarks
+    angle = 2.0 * math.pi * np.arange(circle.landmarks) / circle.landmarks  # The map
     centre = np.array([circle.centre_x, circle.radius if circle.centre_y is None else circle.centre_y])
     xy = centre + (circle.radius + circle.ring) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     known = LandmarkMap(np.arange(circle.landmarks), xy)

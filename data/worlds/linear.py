@@ -69,8 +69,7 @@ def simulate(world: LinearWorld, seed: int, name: str | None = None) -> Log:
     u = 2.0 * math.pi * world.laps * np.arange(world.frames) / world.frames
     a, b = world.half_length, world.half_width
     heading = np.arctan2(2.0 * b * np.cos(2.0 * u), a * np.cos(u))
-    # Landmarks, row by row.
-    x = world.spacing * (np.arange(world.columns) - 0.5 * (world.columns - 1))
+    x = world.spacing * (np.arange(world.columns) - 0.5 * (world.columns - 1))  # Landmarks, row by row
     y = world.spacing * (np.arange(world.rows) - 0.5 * (world.rows - 1))
     xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     truth, known = np.column_stack([a * np.sin(u), b * np.sin(2.0 * u), heading]), LandmarkMap(np.arange(len(xy)), xy)

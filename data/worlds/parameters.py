@@ -239,8 +239,7 @@ def dressed(values: Imperfect, log: Log, seed: int) -> Log:
     looks = Appearance(mean, zero, category if values.classes else np.full(n, UNREAD), zero, names)
     m = len(row)
     sigma, error = np.full(m, values.descriptor_sigma or 1.0), np.full(m, values.class_error if values.classes else 0.5)
-    # a false alarm reads what some landmark would
-    like = looks.only(np.where(row >= 0, row, rng.integers(0, n, m)))
+    like = looks.only(np.where(row >= 0, row, rng.integers(0, n, m)))  # a false alarm reads what some landmark would
     seen = drawn(Appearance(like.descriptor, sigma, like.category, error, names), looks, row, rng)
     places = replace(known, appearance=looks)
     recorded = replace(

@@ -503,8 +503,7 @@ def corrected(e: Evidence, finding: Finding) -> Inputs:
     """The inputs with an explanation taken into account."""
     if finding.kind == "systematic":
         return without(e.inputs, e.path, e.used, finding.sizes)
-    # n measurements are worth n (1 - r) / (1 + r)
-    F = finding.size**2
+    F = finding.size**2  # n measurements are worth n (1 - r) / (1 + r)
     if finding.kind == CORRELATION:
         F = (1.0 + finding.size) / max(1.0 - finding.size, 0.02)
     if ":" in finding.name:

@@ -43,8 +43,7 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run], eno
         at = front.failure.frame if front.failure else 0
         why = notice(Code.FRONT_END_STOPPED, front=front.estimator, at=at)
         return failed(Failure("incomplete", 0, why), 0.0)
-    # retracted landmarks are left out; those that a filter merely forgot are smoothed
-    initialized = front.initialized
+    initialized = front.initialized  # retracted landmarks are left out; those that a filter merely forgot are smoothed
     start = start_at(inputs, front, initialized)
     final = front.final_decisions
     decides = front.estimator != "dead-reckoning"  # which is the front of logs without observations

@@ -249,19 +249,17 @@ P = np.cumsum(R @ [1.0, 0.0, 0.0] * (0.2 + 0.1 * np.sin(3.0 * STEPS[:, None])), 
 NOISE = np.random.default_rng(1).normal(0.0, 0.01, P.shape)
 
 
-def kitti(R, p, word=""):
-    return "\n".join(word + " ".join(f"{v:.9g}" for v in row) for row in np.dstack([R, p]).reshape(-1, 12))
+def kitti(R, p):
+    return "\n".join(" ".join(f"{v:.9g}" for v in row) for row in np.dstack([R, p]).reshape(-1, 12))
 
 
 def tum(R, p):
-    return "\n".join(
-        " ".join(f"{v:.9g}" for v in row) for row in np.column_stack([STEPS, p, Rotation.from_matrix(R).as_quat()])
-    )
+    rows = np.column_stack([STEPS, p, Rotation.from_matrix(R).as_quat()])
+    return "\n".join(" ".join(f"{v:.9g}" for v in row) for row in rows)
 
 
-@pytest.mark.parametrize(
-    ("k", "axes"), [(0, "inverse"), (1, "inverse"), (0, "inverse-rotations"), (1, "inverse-rotations")]
-)
+@pytest.mark.parametrize("k", [0, 1])
+@pytest.mark.parametrize("axes", ["inverse", "inverse-rotations"])
 @pytest.mark.parametrize("written", [kitti, tum])
 def test_poses_of_the_world_in_the_body_are_inverted(scored, k, axes, written):
     poses, back = [(R, P + NOISE), (R, P)], R.transpose(0, 2, 1)
@@ -276,11 +274,10 @@ def test_poses_of_the_world_in_the_body_are_inverted(scored, k, axes, written):
 
 
 def test_words_before_poses_are_left_out_and_rows_are_shifted_to_fit(scored):
-    """Twelve or eight numbers; one row fewer at the start."""
-    plain, true = scored(kitti(R, P + NOISE), kitti(R, P)), kitti(R, P)
-    words = "".join(
-        f"{('key:', 'other:')[k % 3 > 0]} {row}\n" for k, row in enumerate(kitti(R, P + NOISE).splitlines())
-    )
+    """Twelve numbers; one row fewer at the start."""
+    rows, true = kitti(R, P + NOISE).splitlines(), kitti(R, P)
+    plain = scored("\n".join(rows), true)
+    words = "".join(f"{('key:', 'other:')[k % 3 > 0]} {row}\n" for k, row in enumerate(rows))
     assert scored(words, true) == plain
     fewer = words.partition("\n")[2]
     assert scored(fewer, true)["rmse_position_3d_m"] == pytest.approx(plain["rmse_position_3d_m"], rel=0.02)
@@ -297,9 +294,7 @@ def test_columns_that_nobody_names_are_no_orientations(tmp_path, capsys, text):
     file, odd = tmp_path / "both.mat", np.ones((70, 1))
     savemat(file, {"est": MINE, "other": {"rot_err": odd}, "gt": TRUE, "n": 1.0})
     if text:
-        other = "# name: other\n# type: scalar struct\n# ndims: 2\n 1 1\n# length: 1\n" + octave(
-            "rot_err", odd.tolist()
-        )
+        other = "# name: other\n# type: scalar struct\n# ndims: 2\n 1 1\n# length: 1\n" + octave("err", odd.tolist())
         both = (octave("est", MINE.tolist()), other, octave("gt", TRUE.tolist()), "# name: n\n# type: scalar\n1\n")
         file.write_text("# Created by Octave 9.2.0\n" + "".join(both))
     columns = "estimate.x=est_1,estimate.y=est_2,truth.x=gt_1,truth.y=gt_2"

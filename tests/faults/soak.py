@@ -25,16 +25,13 @@ from eval.replay.run import front_end, through
 from eval.replay.settings import Beginning, Setup
 from graph.fixed_lag import FixedLagSmoother
 
-PERIOD = 0.25
-"""s between frames."""
-ROUND, RADIUS = 120, 5.0
-"""Frames and m of a round."""
+PERIOD = 0.25  # s between frames
+ROUND, RADIUS = 120, 5.0  # Frames and m of a round
 MOTION, READING = (0.01, 0.005, 0.005), (0.1, 0.02)
 """Standard deviations of an increment [m, m, rad] and of a reading [m, rad]."""
 SENSOR = RangeBearing(max_range=4.0)
 LANDMARKS = np.array([(r * math.cos(a), r * math.sin(a)) for r, a in zip([3.5, 6.5] * 8, np.arange(16) * math.pi / 8)])
-PRIOR = np.array([1e-2, 1e-2, 1e-3])
-"""Standard deviations of the first pose [m, m, rad]."""
+PRIOR = np.array([1e-2, 1e-2, 1e-3])  # Standard deviations of the first pose [m, m, rad]
 
 
 class Case(NamedTuple):

@@ -22,15 +22,12 @@ Columns = dict[str, list[str]]
 CLOSE = 1e-6
 """Two summaries are the same if their sums differ by no more, relative to the scale. On another
 processor filters stay within 1e-8; the smoothers' optimizers stop elsewhere, and some covariances are off by 1e-7."""
-NOTHING = 1e-12
-"""A scale below this is of rounding alone."""
-WHOLE = "(numbers)"
-"""The one column of a file without a header: all its numbers, row by row; a word counts as a blank."""
+NOTHING = 1e-12  # A scale below this is of rounding alone
+WHOLE = "(numbers)"  # The one column of a file without a header: all its numbers, row by row; a word counts as a blank
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
 
 TOP = ("metrics.csv", "association.csv", "consistency.csv", "trust.csv", "relations.csv", "published.csv")
-RUNS = ".csv .tum .g2o"
-"""Endings of the files below runs/ that something is kept of."""
+RUNS = ".csv .tum .g2o"  # Endings of the files below runs/ that something is kept of
 LEFT_OUT_FILES = {
     "timing.csv": "how long it took",
     "provenance.json": "versions and the command",
@@ -43,8 +40,7 @@ LEFT_OUT_FILES = {
     "runs/*/lab.txt": "the decisions once more",
 }
 """Files, as patterns, that nothing is kept of, and why."""
-LEFT_OUT_COLUMNS = {("metrics.csv", "lost_why"): "a sentence"}
-"""File and column that nothing is kept of, and why."""
+LEFT_OUT_COLUMNS = {("metrics.csv", "lost_why"): "a sentence"}  # File and column that nothing is kept of, and why
 EXACT_ONLY = {
     ("metrics.csv", "iterations"): "rounding decides whether an optimizer takes one more step",
     ("metrics.csv", "last_step_sigma"): "what is left of that step is rounding alone",

@@ -158,8 +158,7 @@ def examine(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArray])
         seen_of = out.rank[i] > 0
         out.log_p[i[seen_of]] = log_tail(out.deleted[i[seen_of]], out.rank[i[seen_of]])
         out.cost[i] = np.sum(np.divide(w * u**2, R, out=np.zeros_like(R), where=R > 0.0), 1)
-        # an error e shifts the residual by R e
-        found = np.where(R > 0.0, R**2 * s.gain, np.inf)
+        found = np.where(R > 0.0, R**2 * s.gain, np.inf)  # an error e shifts the residual by R e
         if found.shape[1]:
             worst = np.argmin(found, 1)
             lowest = found[np.arange(len(i)), worst]

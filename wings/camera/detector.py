@@ -89,8 +89,7 @@ def squeezed_view(rgb: Image, limit: int) -> Features:
     view = extract(narrow, limit, fine_share=FINE_SHARE)
     place = view.place.copy()
     place[:, 0] = (place[:, 0] + 0.5) * (w / width) - 0.5
-    # the blob covers w / width times the area
-    return Features(place, view.scale * np.sqrt(w / width), view.descriptor)
+    return Features(place, view.scale * np.sqrt(w / width), view.descriptor)  # the blob covers w / width times the area
 
 
 def root_sift(descriptor: Any) -> Descriptors:

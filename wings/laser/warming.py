@@ -15,8 +15,7 @@ def warm() -> None:
     """Every back end on a short drive with loop closures, the grid, and corners."""
     inputs = named_log("floorplan:0:frames=600").recorded
     compare(inputs, "slam", ("ekf", "isam2", "fixed-lag", *BATCH), SCAN)
-    # a search that a short drive does not reach
-    corner = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    corner = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])  # a search that a short drive does not reach
     best_pose(corner, pyramid(corner, 2.0), np.zeros(3), np.array([0.2, 0.2, 0.1]), 0.4)
     assert inputs.scans is not None
     occupancy_grid(np.zeros((1, 3)), inputs.scans.ranges[:1], inputs.scans.scanner)

@@ -568,11 +568,13 @@ def inverted(both: InSpace) -> tuple[int, str, float, float] | None:
     for k, p in enumerate(pair):
         back = np.swapaxes(p.rotation, -1, -2)
         whole = -np.einsum("nij,nj->ni", back, p.position)
-        for how, position, better in zip(paths.INVERSE, (whole, p.position), (HALF, OTHER_FRAME), strict=True):
-            other = Poses(position, back)
+        for how, other in zip(paths.INVERSE, (Poses(whole, back), Poses(p.position, back)), strict=True):
             off, left, narrow = _apart(*(other if i == k else q for i, q in enumerate(pair)))
-            if HALF * off < (far if position is whole else narrow) and left < min(SURELY, stated / better):
-                found.append((_driven(p) / _driven(other), k, how, stated, left))
+            fits = OTHER_FRAME * left < stated and HALF * off < narrow
+            if how == paths.INVERSE[0]:
+                fits = HALF * off < far and (HALF * left < stated or OTHER_FRAME * off < far)
+            if fits and left < SURELY:
+                found.append(((1 + k) * _driven(p) / _driven(other), k, how, stated, left))
     return min(found)[1:] if found else None
 
 

@@ -11,14 +11,11 @@ from tests.builders.logs import increments_of, inputs_of, observations_of
 from wings.robot.simulated import room
 
 PERIOD = 0.25
-SPEED, RADIUS, CENTRE = 0.25, 1.6, np.array([3.1, 3.6])
-"""m/s, m: round one of the two boxes of the room."""
+SPEED, RADIUS, CENTRE = 0.25, 1.6, np.array([3.1, 3.6])  # m/s, m: round one of the two boxes of the room
 REACH = 6.0
-SHARE = 0.17
-"""Of the frames in which a wall is in view, those that read it: once in 1.5 s."""
+SHARE = 0.17  # Of the frames in which a wall is in view, those that read it: once in 1.5 s
 R = np.array([[0.007**2, 0.5 * 0.007 * 0.02], [0.5 * 0.007 * 0.02, 0.02**2]])
-M = np.diag([0.001, 2e-4, 0.008]) ** 2
-"""Of the motion in a period."""
+M = np.diag([0.001, 2e-4, 0.008]) ** 2  # Of the motion in a period
 
 
 def walls(origin=(0.0, 0.0)):

@@ -13,10 +13,8 @@ import numpy as np
 from data.se2 import Array, wrap_angle
 
 Generator = np.random.Generator
-DENSE = 6000
-"""Points of a curve: on the car's 1 km one each 0.2 m, with cubic smoothing between."""
-SWING = 0.35
-"""Share of the mean speed by which it swings."""
+DENSE = 6000  # Points of a curve: on the car's 1 km one each 0.2 m, with cubic smoothing between
+SWING = 0.35  # Share of the mean speed by which it swings
 
 
 @dataclass(frozen=True)

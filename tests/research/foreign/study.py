@@ -11,10 +11,8 @@ from eval.plan.flags.table import Execution
 from eval.plan.work import Job, work
 from tests.research.rows import Kept, append, read
 
-SECONDS = 10.0
-"""Of a case, roughly: enough for processes of their own."""
-LINE_EACH = 20
-"""Cases per line of progress."""
+SECONDS = 10.0  # Of a case, roughly: enough for processes of their own
+LINE_EACH = 20  # Cases per line of progress
 
 
 class Case(NamedTuple):

@@ -20,12 +20,10 @@ from data.worlds.registry import named_log
 from tests.research.foreign import faults
 from tests.research.foreign.shapes import SHAPES, Drive, Generator, Shape, places
 
-DETECTED = 0.93
-"""Probability that a landmark in view is read."""
+DETECTED = 0.93  # Probability that a landmark in view is read
 LEAST, MOST = 0.7, 2.2
 """Factors of a shape's sigmas, one for each of odometry and both coordinates: robots are better and worse."""
-STILL = 1e-3
-"""s and m under the roots of odometry's noise, so that no covariance is singular."""
+STILL = 1e-3  # s and m under the roots of odometry's noise, so that no covariance is singular
 
 
 def make(shape: str, seed: int, fault: str | None = None, strength: float = 1.0) -> Log:

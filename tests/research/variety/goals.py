@@ -10,18 +10,12 @@ from data.se2 import Array
 from eval.replay.settings import HINDSIGHT
 from tests.research.variety.measure import JCBB, KNOWN, OK, Row
 
-WORSE = 1.2
-"""RMSE, in those of `jcbb`: more is worse."""
-ENOUGH = 0.95
-"""Share of the worlds where it must not be worse."""
-WRONG = 0.2
-"""FP, in those of `jcbb`: at most, in the median."""
-NEAR = 0.1
-"""Share of the visible landmarks by which a map may have too many or too few."""
-OFTEN = 0.9
-"""Share of the worlds where it must not have."""
-LOST, HEALTHY = 5.0, 1.5
-"""RMSE, in those with labels: beyond the first a run is lost, up to the second it is not."""
+WORSE = 1.2  # RMSE, in those of `jcbb`: more is worse
+ENOUGH = 0.95  # Share of the worlds where it must not be worse
+WRONG = 0.2  # FP, in those of `jcbb`: at most, in the median
+NEAR = 0.1  # Share of the visible landmarks by which a map may have too many or too few
+OFTEN = 0.9  # Share of the worlds where it must not have
+LOST, HEALTHY = 5.0, 1.5  # RMSE, in those with labels: beyond the first a run is lost, up to the second it is not
 
 
 class World(NamedTuple):

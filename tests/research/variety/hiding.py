@@ -32,16 +32,12 @@ from tests.research.variety.worlds import (
 )
 
 WORLDS = 80
-STREAM = 0x41D1
-"""Sets these random numbers apart from those of the variety."""
+STREAM = 0x41D1  # Sets these random numbers apart from those of the variety
 FIRST, EACH = 1000, 48
 """The first path of the variety that is used; of fifty the last two are large, so the first 48 are."""
-GROVE = -1
-"""Index of the large log."""
-REACH = 1.6
-"""Range in which landmarks are read over that of the variety's sensor: fewer of them are read."""
-FRONT = math.radians(75.0)
-"""Half the angle from which a landmark with a front is read."""
+GROVE = -1  # Index of the large log
+REACH = 1.6  # Range in which landmarks are read over that of the variety's sensor: fewer of them are read
+FRONT = math.radians(75.0)  # Half the angle from which a landmark with a front is read
 
 
 @dataclass(frozen=True)

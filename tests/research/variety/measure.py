@@ -31,10 +31,8 @@ from tests.research.variety.worlds import draw, log_of
 JCBB = "jcbb"
 KNOWN = "known"
 METHODS = (JCBB, HINDSIGHT, KNOWN)
-LIMIT = 60.0
-"""s of wall time that a method has for a world."""
-SLOW = "slow"
-"""Status of a run that was not done in time."""
+LIMIT = 60.0  # s of wall time that a method has for a world
+SLOW = "slow"  # Status of a run that was not done in time
 OK = "ok"
 
 

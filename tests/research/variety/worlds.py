@@ -22,14 +22,11 @@ from data.worlds import registry
 from data.worlds.registry import name_of, named_log
 
 WORLDS = 200
-STREAM = 0x7A41E7
-"""Sets these random numbers apart from those of the worlds, whose seeds are the same indices."""
+STREAM = 0x7A41E7  # Sets these random numbers apart from those of the worlds, whose seeds are the same indices
 KINDS = ("arena", "park", "corridor")
-LARGE = 25
-"""Of so many worlds in a row the last two, one of each half, are large."""
+LARGE = 25  # Of so many worlds in a row the last two, one of each half, are large
 CHOOSE, JUDGE, LATER = "choose", "judge", "later"
-FACTOR = 4.0
-"""By so much a sigma is misstated at most, up or down."""
+FACTOR = 4.0  # By so much a sigma is misstated at most, up or down
 
 
 @dataclass(frozen=True)
@@ -171,8 +168,7 @@ def _factor(rng: np.random.Generator, most: float, share: float) -> float:
     return value if drawn else 1.0
 
 
-NEAREST = 0.3
-"""m. Nothing nearer is read."""
+NEAREST = 0.3  # m. Nothing nearer is read
 
 
 def log_of(drawn: Drawn) -> Log:

@@ -28,8 +28,7 @@ def true_camera(g: Gallery) -> Array:
     return np.array([g.focal, 0.5 * (g.image_width - 1), 0.5 * (g.image_height - 1)])
 
 
-USUAL, HALF = Gallery(), Gallery(duration=30.0, rate=3.0)
-"""The rendered world, and half its loop in 90 frames."""
+USUAL, HALF = Gallery(), Gallery(duration=30.0, rate=3.0)  # The rendered world, and half its loop in 90 frames
 
 
 def drawn(seed: int, sigma: float = 0.3, g: Gallery = USUAL) -> tuple[Log, Array, Sightings]:
@@ -42,10 +41,8 @@ def drawn(seed: int, sigma: float = 0.3, g: Gallery = USUAL) -> tuple[Log, Array
     return simulate(g, seed), scene.setup.corners, Sightings(frame, picture, noisy, sigma)
 
 
-PRIOR = np.array([80.0, 20.0, 20.0])
-"""px, standard deviations of f, c_u and c_v."""
-SMALL = Gallery(duration=8.0, rate=2.0)
-"""16 frames."""
+PRIOR = np.array([80.0, 20.0, 20.0])  # px, standard deviations of f, c_u and c_v
+SMALL = Gallery(duration=8.0, rate=2.0)  # 16 frames
 EXACT = Gallery(duration=8.0, rate=2.0, sigma_v=1e-5, sigma_omega=1e-5, prior_sigma=1e-4, prior_sigma_heading=1e-4)
 
 

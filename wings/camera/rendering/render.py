@@ -34,8 +34,7 @@ LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijkmnopqrstuvwxyz0123456789&?!%"
 def picture(number: int, width: int, height: int, rng: np.random.Generator) -> Image:
     """A picture (height, width, 3), RGB; its number chooses the style."""
     style = (_shapes, _mosaic, _poster, _strata, _blocks, _strokes)[number % 6]
-    # Background (height, width, 3): clouds between two colours.
-    low, high = _palette(2, rng)
+    low, high = _palette(2, rng)  # Background (height, width, 3): clouds between two colours
     mix = 1.0 / (1.0 + np.exp(-1.5 * _fractal(width, height, 16, rng)))[:, :, None]
     canvas = np.ascontiguousarray(low + (high - low) * mix)
     style(canvas, rng)
@@ -175,8 +174,7 @@ class Room:
         self.right = np.column_stack([-NORMALS[:, 1], NORMALS[:, 0]])
         self.half = 0.5 * np.array([g.room_length, g.room_width])
         starts = np.concatenate([[0.0], np.cumsum(g.wall_lengths)[:-1]])
-        # m along the unrolled walls = shift + point . right
-        self.shift = starts + 0.5 * np.array(g.wall_lengths)
+        self.shift = starts + 0.5 * np.array(g.wall_lengths)  # m along the unrolled walls = shift + point . right
         # the walls unrolled, and below them floor and ceiling side by side
         wide, high, long, deep = (
             int(np.ceil(m * self.density)) for m in (sum(g.wall_lengths), g.room_height, g.room_length, g.room_width)

@@ -113,8 +113,7 @@ def run_text(log: Log, run: Run, phase: str = "online", block: Block = step_bloc
     """
     inputs, confusion = log.recorded, confusion_of(run, log, phase)
     decisions = run.decisions if phase == "online" else run.final_decisions
-    # in the end a retracted landmark never existed
-    created = run.created if phase == "online" else run.initialized
+    created = run.created if phase == "online" else run.initialized  # in the end a retracted landmark never existed
     end = len(inputs) if run.failure is None else run.failure.frame
     blocks = []
     for k in range(end):

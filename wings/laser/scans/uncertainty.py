@@ -158,8 +158,7 @@ def _project(
 def _invert(pose: Array, covariance: Array, z: Array, C: Array) -> None:
     c, s = math.cos(pose[2]), math.sin(pose[2])
     z[0], z[1], z[2] = -c * pose[0] - s * pose[1], s * pose[0] - c * pose[1], -pose[2]
-    # J = [-c, -s, z1; s, -c, -z0; 0, 0, -1]
-    J = ((-c, -s, z[1]), (s, -c, -z[0]), (0.0, 0.0, -1.0))
+    J = ((-c, -s, z[1]), (s, -c, -z[0]), (0.0, 0.0, -1.0))  # J = [-c, -s, z1; s, -c, -z0; 0, 0, -1]
     for i in range(3):
         u0 = J[i][0] * covariance[0, 0] + J[i][1] * covariance[1, 0] + J[i][2] * covariance[2, 0]
         u1 = J[i][0] * covariance[0, 1] + J[i][1] * covariance[1, 1] + J[i][2] * covariance[2, 1]

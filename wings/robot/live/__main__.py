@@ -159,8 +159,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
         say(f"log: {wish.out}")
         status = INTERRUPTED
         if presses.count < 2:
-            # from here on both signals end the report
-            presses.heed()
+            presses.heed()  # from here on both signals end the report
             with suppress(KeyboardInterrupt):
                 status = run_all.main(report_words(wish))
         if status in (INTERRUPTED, WRONG):
@@ -209,8 +208,7 @@ def _drive(wish: Namespace, presses: Presses, stack: ExitStack) -> None:
             receiver(taken)
 
     session = Session(estimators, association, setup, noise, processed, wish.fit, scanning)
-    # objects made so far stay; collecting them again would delay frames
-    gc.collect()
+    gc.collect()  # objects made so far stay; collecting them again would delay frames
     gc.freeze()
     with ExitStack() as driving:
         driving.enter_context(threadpool_limits(1))  # as in a replay

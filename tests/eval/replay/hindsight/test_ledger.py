@@ -26,8 +26,7 @@ from eval.replay.hindsight.ledger import (
 from eval.replay.hindsight.opportunities import BEFORE, BEHIND, DETECTED, FAMILIAR, _codes, beside, cell, missing
 
 PLACES = np.array([[5.0, 0.0], [5.0, 4.0], [5.0, -4.0], [3.0, 1.0], [3.0, -1.0]])
-REACH = math.hypot(5.0, 4.0)
-"""m, the farthest that is read; places are as far apart as SAME_PLACE of it."""
+REACH = math.hypot(5.0, 4.0)  # m, the farthest that is read; places are as far apart as SAME_PLACE of it
 
 
 class Robot:
@@ -110,8 +109,7 @@ def misses(robot, *numbers):
 
 
 MISSED = b"\2"  # from a familiar viewpoint
-OFTEN = Visibility(180, 10, 5, 5)
-"""Seen in 185 of 200 looks."""
+OFTEN = Visibility(180, 10, 5, 5)  # Seen in 185 of 200 looks
 
 
 @pytest.mark.parametrize(("opportunities", "missed", "row", "rate"), [
@@ -244,8 +242,7 @@ def test_the_ledgers_notes_count_what_was_undone_and_what_was_made_instead():
     assert ledger.notes() == [notice(Code.REVISED, undone=2, again=2)]
 
 
-ALWAYS = Visibility(seen_seen=10**6)
-"""A sensor that sees whatever is in view."""
+ALWAYS = Visibility(seen_seen=10**6)  # A sensor that sees whatever is in view
 
 
 def test_sightings_and_misses_are_counted_and_a_sighting_ends_a_row():
