@@ -120,7 +120,7 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
         number = int(name) - 1 if name.isdecimal() else -1
         if name not in names and not 0 <= number < len(names):
             what = f"no column {name!r}{did_you_mean(name, names)}; it has {', '.join(names)[:200]}"
-            raise DataError.at(text.path, what, line=line)
+            raise DataError.at(text.path, what, line=line or None)
         place[role] = names.index(name) if name in names else number
     if len(several := topics_in(names)) > 1 and "x" in place and (topic := topic_of(names[place["x"]])):
         read = _roles(names, topic)
@@ -136,10 +136,10 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
     unlike = [topic for topic in several if topic.startswith("/") and "x" not in place]
     if len(unlike) > max(1, len(found.get("x", ()))):
         what = f"topics {', '.join(unlike)}: type which, of estimate and truth, as in {text.path}:{unlike[0]}"
-        raise DataError.at(text.path, what, line=line)
+        raise DataError.at(text.path, what, line=line or None)
     if moved := [name for name in names if name.endswith("_next") or name in ("from_index", "to_index")]:
         what = f"rows are motions from one instant to the next ({moved[0]}), no poses; compose them to poses"
-        raise DataError.at(text.path, what, line=line)
+        raise DataError.at(text.path, what, line=line or None)
     spread = {role: found.pop(role) for role in [*found] if role.startswith(("c_", "s_"))}
     unclear: dict[str, list[int]] = {}
     for role, some in found.items():
@@ -154,7 +154,7 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
         role, some = next(iter(unclear.items()))
         what = f"{names[some[0]]!r} and {names[some[1]]!r} both name {role}; one of them is needed"
         typed = ",".join(f"{'truth.' * manner.true}{r}={s[0] + 1}" for r, s in unclear.items())
-        raise DataError.at(text.path, f"{what}, as in --columns {typed.replace('yaw', 'theta')}", line=line)
+        raise DataError.at(text.path, f"{what}, as in --columns {typed.replace('yaw', 'theta')}", line=line or None)
     side, k = [set(words_of(name)[0]) & SIDES for name in names], place.get("x", place.get("lat", -1))
     others = any(r == "x" and j != k and true[j] == manner.true for j, (r, _) in enumerate(read))
     for role, some in spread.items():  # a covariance has the words of its path, or none beside a single one
@@ -270,14 +270,14 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
             ends = [name for name in columns.unread if words_of(name)[0][-1:] == [role]][:SHOWN]
             what += f"; {', '.join(ends)} may be {role}" if ends else "; docs/results-files.md lists the names"
             what += f"; type --columns {'truth.' * manner.true}{role}={(ends or ['NAME'])[0]}"
-            raise DataError.at(text.path, what, line=columns.line)
+            raise DataError.at(text.path, what, line=columns.line or None)
     dated = _in_seconds(body, place["t"]) if "t" in place else body
     value = {"t": np.arange(len(body.fields), dtype=float)} | _values(dated, columns)
     absent = not quaternion and "yaw" not in place
     asked = absent and not manner.columns.keys() & {"x", "lat"}
     if asked and (turned := [n for n in columns.unread if re.search(r"(?i)q\d|quat|rot|orient", n)]):
         what = f"no orientation is named ({', '.join(turned)} are unknown); qx, qy, qz, qw or yaw is needed"
-        raise DataError.at(text.path, what, line=columns.line)
+        raise DataError.at(text.path, what, line=columns.line or None)
     if absent:
         value["yaw"] = np.zeros(len(body.fields))
     angles = (TURNS, manner.angles or "rad")
@@ -288,7 +288,7 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
             unit = columns.unit.get(role, usual)
             if unit not in known:
                 what = f"unit {unit!r} of {role}; one of {', '.join(known)} is needed"
-                raise DataError.at(text.path, what, line=columns.line)
+                raise DataError.at(text.path, what, line=columns.line or None)
             value[role] = value[role] * known[unit]
     if "nanoseconds" in value:
         whole = bool((value["t"] % 1.0 == 0.0).all())  # else they are those of another clock

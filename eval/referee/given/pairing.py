@@ -154,7 +154,7 @@ def same_clock(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
     """
     if ROWS in (a.clock.by, b.clock.by):
         lacking, other = (a, b) if a.clock.by == ROWS else (b, a)
-        k = shift(a, b) if len(a) != len(b) else 0
+        k = rows_apart(a, b) if len(a) != len(b) else 0
         if k is None:
             what = f"{len(lacking)} poses without stamps, and {len(other)} of {other.file}: which belong together?"
             needed = "As many in both are needed, or --times NAME=FILE, a stamp [s] a line"
@@ -189,7 +189,7 @@ SHIFTS, MANY, KEPT, CLEARLY = 2, 100, 0.9, 0.5
 largest ratio of the errors of the best shift to those of any other."""
 
 
-def shift(a: GivenPath, b: GivenPath, at: int = 0) -> int | None:
+def rows_apart(a: GivenPath, b: GivenPath, at: int = 0) -> int | None:
     """By how many rows motions of `a` are earlier in it than in `b`, where one number fits clearly best; None: none."""
     more, steps, off = len(b) - len(a), list[Array](), dict[int, float]()
     flat = any(f.space is None or not np.isfinite(f.space.rotation).all() for f in (a, b))
@@ -318,7 +318,7 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
     yield from _order(pair, known)
     if (t := pair.truth) is not None and t.clock.by == pair.estimate.clock.by == ROWS and len(t) == len(pair.estimate):
         at = round(float(pair.estimate.time[0] - t.time[0]))
-        if (k := shift(pair.estimate, t, at)) not in (None, at):
+        if (k := rows_apart(pair.estimate, t, at)) not in (None, at):
             yield notice(Code.PATH_SHIFT, file=pair.estimate.file, other=t.file, flags=(f"--time-offset NAME={k}",))
     files = [about_file(f) for f in (pair.estimate, pair.truth) if f is not None]
     alone = [question for asked in files for question in asked]  # which explain what both say together
@@ -552,7 +552,7 @@ def _first_is_w(path: GivenPath) -> bool:
 LEVEL = 0.02  # largest entry of a quaternion that is none but rounding and tilt
 
 
-SURELY, HALF = 30.0, 2.0  # deg, largest error of rotations, and least ratio of errors, of poses that fit if inverted
+SURELY, TWICE = 30.0, 2.0  # deg, largest error of rotations, and least ratio of errors, of poses that fit if inverted
 
 
 def inverted(both: InSpace) -> tuple[int, str, float, float] | None:
@@ -570,9 +570,9 @@ def inverted(both: InSpace) -> tuple[int, str, float, float] | None:
         whole = -np.einsum("nij,nj->ni", back, p.position)
         for how, other in zip(paths.INVERSE, (Poses(whole, back), Poses(p.position, back)), strict=True):
             off, left, narrow = _apart(*(other if i == k else q for i, q in enumerate(pair)))
-            fits = OTHER_FRAME * left < stated and HALF * off < narrow
+            fits = OTHER_FRAME * left < stated and TWICE * off < narrow
             if how == paths.INVERSE[0]:
-                fits = HALF * off < far and (HALF * left < stated or OTHER_FRAME * off < far)
+                fits = TWICE * off < far and (TWICE * left < stated or OTHER_FRAME * off < far)
             if fits and left < SURELY:
                 found.append(((1 + k) * _driven(p) / _driven(other), k, how, stated, left))
     return min(found)[1:] if found else None
