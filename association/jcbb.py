@@ -205,8 +205,7 @@ def search_best(
                 t -= 1
                 arriving = False
                 continue
-            # its open candidates, nearest first; ties in the given order
-            n = 0
+            n = 0  # its open candidates, nearest first; ties in the given order
             for p in range(first[pick], first[pick + 1]):
                 if closed_at[p] > t and not taken[candidate[p]]:
                     at = n

@@ -142,8 +142,7 @@ def invert(
     landmark[1] = pose[1] + wy
     Gx[0, 0], Gx[0, 1], Gx[0, 2] = 1.0, 0.0, -wy
     Gx[1, 0], Gx[1, 1], Gx[1, 2] = 0.0, 1.0, wx
-    # R(theta) Re^T A
-    m00, m01 = c * ce + s * se, c * se - s * ce
+    m00, m01 = c * ce + s * se, c * se - s * ce  # R(theta) Re^T A
     m10, m11 = s * ce - c * se, s * se + c * ce
     Gz[0, 0] = m00 * a00 + m01 * a10
     Gz[0, 1] = m00 * a01 + m01 * a11

@@ -131,8 +131,7 @@ class EkfLocalizer(Filter):
             self._join(ABSENT - given[given <= ABSENT])
             look_up(self.map.id, self.map.xy, self._slot, decisions, given, known)
         if self._errors.range_at >= 0:
-            # temporary states of the update
-            places = known[decisions >= 0]
+            places = known[decisions >= 0]  # temporary states of the update
             k = len(places)
             self._grow(k)
             hold_known(self._mean, self._P, self._used, places, 0, k, self._first, self._errors)

@@ -156,8 +156,7 @@ class EkfSlam(Filter):
             self._grow(2 * len(old))
             x, P = self._mean, self._P
             mean, D_p, own, small = parked.restoring(old, x[d:r], P[d:r, d:r])
-            # append the present landmarks and the new end of y
-            cross = D_p @ P[d:r, :e]
+            cross = D_p @ P[d:r, :e]  # append the present landmarks and the new end of y
             cross[:, d:r] += D_p
             x[e : e + n], x[e + n : e + 2 * n] = mean, 0.0
             P[e : e + n, :e], P[:e, e : e + n], P[e : e + n, e : e + n] = cross, cross.T, own
@@ -366,8 +365,7 @@ class EkfSlam(Filter):
         gain = np.linalg.solve(S, PHt.T).T
         mean -= gain @ apart
         mean[2] = wrap_angle(float(mean[2]))
-        # Joseph's form, so that the small variance of the difference is not rounding
-        P -= gain @ PHt.T
+        P -= gain @ PHt.T  # Joseph's form, so that the small variance of the difference is not rounding
         PHt = sign * P[:, a] - P[:, b]
         P -= PHt @ gain.T
         P += JOINED**2 * gain @ gain.T

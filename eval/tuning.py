@@ -235,8 +235,7 @@ def _increments(model: Model, of: Mapping[str, float], cut: float) -> Increments
             return increments
         return moved_later(increments, scale * smooth_velocity(odometry, at), cut - of[LATENCY])
     stated = model.inputs.increments
-    # a chord is half the arc's turn off the first heading
-    half = 0.5 * (scale[1] - 1.0) * stated.mean[:, 2]
+    half = 0.5 * (scale[1] - 1.0) * stated.mean[:, 2]  # a chord is half the arc's turn off the first heading
     c, s = scale[0] * np.cos(half), scale[0] * np.sin(half)
     dx, dy = stated.mean[:, 0], stated.mean[:, 1]
     mean = np.column_stack([c * dx - s * dy, s * dx + c * dy, scale[1] * stated.mean[:, 2]])

@@ -61,8 +61,7 @@ def first_factors(errors: Errors, prior: Prior) -> tuple[list[factors.Factor], g
     values.insert(X(0), factors.pose2(mean[:3]))
     if errors.frame.same:
         return [factors.prior_factor(prior), *alone], values
-    # the pose given the errors, in gtsam's body frame
-    B = world_from_body(mean[2])
+    B = world_from_body(mean[2])  # the pose given the errors, in gtsam's body frame
     K = P[:3, 3:] / sigma**2
     variance, axes = np.linalg.eigh(B.T @ (P[:3, :3] - K @ P[3:, :3]) @ B)
     given = axes @ np.diag(np.maximum(variance, PINNED**2)) @ axes.T

@@ -32,10 +32,8 @@ def is_arrays(path: Path) -> bool:
 
 def named(path: Path) -> dict[str, Any]:
     """The arrays of a file by name; runs no code of it. DataError for a damaged file."""
-    if is_octave(path):
-        return octave(path)
-    if path.suffix.lower() == ".mat":
-        return dict(load(path, variables(path)))
+    if path.suffix.lower() not in (".npz", ".npy"):
+        return octave(path) if is_octave(path) else dict(load(path, variables(path)))
     try:
         if path.suffix.lower() == ".npy":
             return {path.stem: np.load(path, mmap_mode="r", allow_pickle=False)}

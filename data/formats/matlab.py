@@ -344,9 +344,6 @@ def _of_hdf5(file: Any, item: Any) -> Value:
     return np.asarray(content).T
 
 
-# Octave's text format: lines `# key: value` of a variable, the first with its name, then its numbers.
-
-
 def is_octave(path: Path) -> bool:
     """Whether a file has the first line of Octave's text format."""
     if not path.is_file():

@@ -64,11 +64,9 @@ def correct(motion: Array, errors: Array, mount: Array, mean: Array, A: Array, G
     rx, ry = ch * x - sh * y, sh * x + ch * y
     ux, uy = (1.0 + errors[SCALE]) * rx, (1.0 + errors[SCALE]) * ry
     turn = t + e
-    # R(turn) times the mount's position
-    ct, st = math.cos(turn), math.sin(turn)
+    ct, st = math.cos(turn), math.sin(turn)  # R(turn) times the mount's position
     qx, qy = ct * mount[0] - st * mount[1], st * mount[0] + ct * mount[1]
-    # the whole turn into the sensor's frame: bearing - mount's heading
-    size = 1.0 + errors[RANGE]
+    size = 1.0 + errors[RANGE]  # the whole turn into the sensor's frame: bearing - mount's heading
     angle = errors[BEARING] - mount[2]
     c, s = size * math.cos(angle), size * math.sin(angle)
     vx, vy = ux + qx - mount[0], uy + qy - mount[1]
@@ -174,8 +172,7 @@ def stated(way: Array, errors: Array, mount: Array, leftwards: bool, m: Array, b
     applies; fixed by the caller, since a search would get stuck at the kink where it changes.
     """
     scale, slope = 1.0 + errors[SCALE], errors[CURVATURE] + errors[DRIFT]
-    # the robot's motion u from the sensor's
-    size, angle = 1.0 + errors[RANGE], errors[BEARING] - mount[2]
+    size, angle = 1.0 + errors[RANGE], errors[BEARING] - mount[2]  # the robot's motion u from the sensor's
     c, s = math.cos(angle) / size, math.sin(angle) / size
     ax, ay = c * way[0] + s * way[1], c * way[1] - s * way[0]
     turn: float = wrap_angle_jit(way[2])

@@ -99,8 +99,7 @@ def simulate(arena: Arena, seed: int, name: str | None = None) -> Log:
     centre = np.array([0.0, arena.radius])
     landmarks = centre + map_rng.uniform(-0.5 * arena.side, 0.5 * arena.side, (arena.landmarks, 2))
     frame_time = arena.period * np.arange(arena.frames, dtype=np.float64)
-    # True poses (N, 3) at the frames and the noisy increments between them.
-    dt = 1.0 / arena.odometry_rate
+    dt = 1.0 / arena.odometry_rate  # True poses (N, 3) at the frames and the noisy increments between them
     time = dt * np.arange(math.ceil(frame_time[-1] / dt) + 1)
     v = np.full(len(time), arena.speed)
     omega = arena.speed / arena.radius + arena.swing * np.sin(2.0 * math.pi * time / 15.0)

@@ -189,8 +189,7 @@ def for_panels(runs: Sequence[Run], complete: Sequence[str] = ()) -> list[Run]:
     else:
         ranked = _by_importance(single, ((0, 0), (0, 1), (1, 1), (2, 1), (1, 0), (2, 0)))
     chosen: list[Run] = []
-    # what was handed in is what the reader came for; at least one of ours is shown with it
-    room = MOST_PANELS - 1
+    room = MOST_PANELS - 1  # what was handed in is what the reader came for; at least one of ours is shown with it
     ranked.sort(key=lambda r: not r.handed_in)
     for run in ranked:
         if sum(len(r.phases) for r in (*chosen, run)) <= (room if run.handed_in else MOST_PANELS):

@@ -126,8 +126,7 @@ def block_length(series: Array) -> float:
     small = correlation[:-1] < 2.0 * np.sqrt(np.log10(n) / n)
     runs = np.flatnonzero(np.lib.stride_tricks.sliding_window_view(small, in_a_row).all(axis=1))
     lags = min(2 * max(int(runs[0]), 1), most) if len(runs) else most
-    # weights of the flat-top lag window: 1 up to half of the lags, down to 0 at the last
-    k = np.arange(1, lags + 1)
+    k = np.arange(1, lags + 1)  # weights of the flat-top lag window: 1 up to half of the lags, down to 0 at the last
     weight, significant = 2.0 * np.minimum(1.0, 2.0 * (1.0 - k / lags)), covariance[1 : lags + 1]
     slope, spectrum = sum(weight * k * significant), sum(weight * significant, start=covariance[0])
     length = (slope**2 / spectrum**2) ** (1 / 3) * n ** (1 / 3)

@@ -119,8 +119,7 @@ def _stretch(
     at = np.flatnonzero(sensed)
     sums = np.concatenate([[0.0], np.cumsum(could[at])])
     done = np.concatenate([[0], np.cumsum(did[at])])
-    # a log that is too short is one stretch
-    need = enough if enough > OBSERVATIONS else min(enough, sums[-1])
+    need = enough if enough > OBSERVATIONS else min(enough, sums[-1])  # a log that is too short is one stretch
     if len(at) == 0 or not 1.0 <= need <= sums[-1]:
         return None
     begin = np.arange(len(at))

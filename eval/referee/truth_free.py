@@ -70,8 +70,7 @@ def difference(online: Trajectory, smoothed: Trajectory) -> Difference:
     size, axes = np.linalg.eigh(correlation)
     sound = size[:, 0] > SINGULAR
     rows, root = rows[sound], axes[sound] / np.sqrt(size[sound])[:, None, :]
-    # where P_f is the identity, the eigenvalues of P_f - P_s are shares of P_f
-    white = root / scale[sound, :, None]
+    white = root / scale[sound, :, None]  # where P_f is the identity, the eigenvalues of P_f - P_s are shares of P_f
     shares, turned = np.linalg.eigh(white.transpose(0, 2, 1) @ D[rows] @ white)
     w = np.einsum("nji,njk,nk->ni", turned, white.transpose(0, 2, 1), d[rows])
     compared = shares > SHARE

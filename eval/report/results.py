@@ -86,8 +86,7 @@ def _pooled(files: Sequence[str], found: Sequence[Scored]) -> dict[str, object]:
         "verdicts": dict(verdicts(samples)),
         "matched": sum(m.matched for m in matches),
         "unmatched": sum(m.unmatched for m in matches),
-        # files without a usable covariance
-        "projected": found[0].projected,
+        "projected": found[0].projected,  # files without a usable covariance
         "space": {name: float(np.mean([each[name] for each in space])) for name in shared},
         "bare": tuple(f for f, s in zip(files, samples, strict=True) if not math.isfinite(s.means["pose"])),
         "first": files[0],  # which the notes are about
@@ -228,10 +227,7 @@ def space_rows(trials: Sequence[Trial]) -> list[dict[str, object]]:
 
 
 def _in_space(trials: Sequence[Trial]) -> Iterator[tuple[Trial, GivenRun, str]]:
-    for trial in trials:
-        for run in trial.runs:
-            if isinstance(run, GivenRun):
-                yield from ((trial, run, phase) for phase in run.phases if phase in run.space)
+    return ((t, r, p) for t in trials for r in t.runs if isinstance(r, GivenRun) for p in r.phases if p in r.space)
 
 
 SPACE_HEADS = {

@@ -146,8 +146,7 @@ def twin(source: Source, seed: int) -> Log:
     note = f"Drawn from batch's path and map of {source.log.name}, with the covariances as stated; batch is its truth."
     inlier = [None if each is None else np.ones(len(each), np.int64) for each in (r.fixes, r.closures)]
     truth = Truth(path, source.landmarks, source.landmark_of, fix_inlier=inlier[0], closure_inlier=inlier[1])
-    # none is misread, but they are treated as those of the log
-    sensed = source.log.labels_are_sensed
+    sensed = source.log.labels_are_sensed  # none is misread, but they are treated as those of the log
     return Log(name, recorded, truth, labels_are_sensed=sensed, source=origin, notes=(note,))
 
 

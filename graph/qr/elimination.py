@@ -465,8 +465,7 @@ def _covariances(
     begin, place = np.empty(len(parent), np.int64), np.empty(first_of[-1], np.int64)
     for v in range(len(parent) - 1, -1, -1):
         n, w, u = first_of[v + 1] - first_of[v], start[v + 1] - start[v], parent[v]
-        # covariance of the separator from the parent's front
-        below = np.empty((w, w))
+        below = np.empty((w, w))  # covariance of the separator from the parent's front
         if u >= 0:
             side = put_places(s, u, place)
             for i in range(w):

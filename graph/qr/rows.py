@@ -97,8 +97,7 @@ class Linearizer:
         self._further_factors = [*problem.of_poses, *(p.factor for p in priors)]
         self._chunks, self._graph = self._observations([s.measured for s in problem.observations])
         self._prior = prior_factor(problem.prior)
-        # known landmarks that the range error moves
-        moves = problem.known_map and motion.frame.range_at >= 0
+        moves = problem.known_map and motion.frame.range_at >= 0  # known landmarks that the range error moves
         self._world = np.array([s.xy for s in problem.observations]).reshape(-1, 2) if moves else None
         self._last: tuple[gtsam.Values, Array, Array] | None = None
         self._first: tuple[gtsam.Values, tuple[Array, Array, Array]] | None = None

@@ -90,8 +90,7 @@ def pixel_factor(
         pose = pose_array(values.atPose2(X(frame)))
         at = project(sensor, pose, values.atVector(K), values.atVector(_height(picture)), corners)
         if H is not None:
-            # gtsam's error of a pose is in its body frame
-            H[0] = at[1].reshape(8, 3) @ world_from_body(float(pose[2]))
+            H[0] = at[1].reshape(8, 3) @ world_from_body(float(pose[2]))  # gtsam's error of a pose is in its body frame
             H[1], H[2] = at[2].reshape(8, 3), at[3].reshape(8, 2)
         return np.asarray((at[0] - pixels).ravel())
 

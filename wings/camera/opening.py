@@ -101,8 +101,7 @@ def open_lab_log(folder: Path, reading: Reading, say: Say) -> Log:
 
 def open_places(name: str, apart: float, reading: Reading) -> "tuple[Log, list[Candidate]]":
     """The log of commands and closures of a recording, and all candidates; pictures are no landmarks in it."""
-    # detections, which are kept, do not depend on these
-    from eval.referee.consistency import true_inliers
+    from eval.referee.consistency import true_inliers  # detections, which are kept, do not depend on these
     from wings.camera.places import candidates, closures_of, key_frames
 
     rendered = _rendered(name) if name.startswith("visual:") else None

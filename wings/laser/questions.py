@@ -20,8 +20,7 @@ FEWEST = 20  # Least number of scans for a question
 
 def no_odometry(log: Log, scans: Scans) -> list[Notice]:
     """Odometry that never moves and claims to be known, with a scanner whose view changes."""
-    # unknown motion has the standard deviation of a speed
-    inputs = log.recorded
+    inputs = log.recorded  # unknown motion has the standard deviation of a speed
     exact = float(np.median(inputs.increments.covariance[1:, 0, 0])) < 1e-4
     if inputs.increments.mean.any() or not exact:
         return []

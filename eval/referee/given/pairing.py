@@ -164,9 +164,10 @@ def same_clock(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
         time += (at - np.clip(at, 0, len(other) - 1)) * float(np.median(np.diff(other.time)))
         stamped = restamped(lacking, time, other.clock)
         a, b = (stamped, b) if lacking is a else (a, stamped)
-        first = f"row {1 + max(0, -k)} of {a.file} is of row {1 + max(0, k)} of {b.file}"
-        said = (f"inferred: {first}, as their motions fit best so",) * (len(a) != len(b))
-        return replace(a, notes=(*a.notes, *said)), b
+        said = (
+            f"inferred: row {1 + max(0, -k)} of {a.file} is of row {1 + max(0, k)} of {b.file}, as motions fit best so"
+        )
+        return (a if len(a) == len(b) else replace(a, notes=(*a.notes, said))), b
     a, b = _plain_if_better(a, b), _plain_if_better(b, a)
     (span_a, step_a), (span_b, step_b) = _span(a), _span(b)
     sure = {a.clock.by, b.clock.by} & {paths.ASSUMED, paths.RATE}
@@ -184,9 +185,7 @@ def same_clock(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
     return a, b
 
 
-SHIFTS, MANY, KEPT, CLEARLY = 2, 100, 0.9, 0.5
-"""Most rows between beginnings, but for a difference in number; fewest poses; share of motions that are compared;
-largest ratio of the errors of the best shift to those of any other."""
+SHIFTS, MANY, KEPT, CLEARLY = 2, 100, 0.9, 0.5  # most rows apart; fewest poses; share compared; ratio to other errors
 
 
 def rows_apart(a: GivenPath, b: GivenPath, at: int = 0) -> int | None:
@@ -586,9 +585,7 @@ def _driven(p: Poses) -> float:
 
 
 def _apart(a: Poses, b: Poses) -> tuple[float, float, float]:
-    """RMS errors after Sim(3): of positions as a share of the path, of rotations but for one of the body [deg]; and the
-    share of the path's second axis, about which positions tell the turn.
-    """
+    """Errors after Sim(3) and a turn of the body: of positions by the path's size, of rotations [deg]; second extent."""
     fit = aligning(a, b, SIM3)
     assert fit is not None  # there are matches
     size = np.linalg.svd((b.position - b.position.mean(axis=0)) / math.sqrt(len(b.position)), compute_uv=False)

@@ -365,8 +365,7 @@ class Rendered:
         if not len(columns):
             return
         left, right, top, bottom = columns[0], columns[-1] + 1, 0, g.image_height
-        # pyramid level with as many pixels as will be drawn, or up to 1.4 times that
-        level = 0
+        level = 0  # pyramid level with as many pixels as will be drawn, or up to 1.4 times that
         pyramid = self._pyramids[projection.picture]
         if np.isfinite(projection.pixels).all():
             low, high = np.floor(projection.pixels.min(axis=0)) - 1, np.ceil(projection.pixels.max(axis=0)) + 2

@@ -124,8 +124,7 @@ def plane_of(m: Matching) -> Plane:
     compatible: BoolArray = d2 < e.threshold(m.gate)
     near: BoolArray = d2 < gate_threshold(SHOWN_WITHOUT_GATE if m.gate is None else m.gate)
     involved = near.any(axis=0) if m.right is None else near.any(axis=0) | np.isin(e.number, m.right)
-    # far landmarks would make everything else small
-    scene = np.concatenate([xy, np.zeros((1, 2))])
+    scene = np.concatenate([xy, np.zeros((1, 2))])  # far landmarks would make everything else small
     low, high = scene.min(axis=0), scene.max(axis=0)
     reach = max(float((high - low).max()), 1.0)
     involved &= np.all((landmarks > low - reach) & (landmarks < high + reach), axis=1)
@@ -482,8 +481,7 @@ def paint_compatibility(fig: Figure, m: Matching) -> None:
 def paint_matching(fig: Figure, m: Matching) -> None:
     """Decisions of each method on the same expectation: shapes show the decision, colours whether it is right."""
     p, names = plane_of(m), list(m.decisions)
-    # One panel per name, at most six, and the place for a legend, if any.
-    fig.set_layout_engine("none")
+    fig.set_layout_engine("none")  # One panel per name, at most six, and the place for a legend, if any
     fig.set_size_inches(*MANY)
     full = len(names) == 6
     bottom, high = (0.14, 0.335) if full else (0.065, 0.375)

@@ -497,8 +497,7 @@ def _cast(
         for s in range(len(walls)):
             ax, ay, bx, by = walls[s, 0] - x, walls[s, 1] - y, walls[s, 2] - x, walls[s, 3] - y
             ex, ey = bx - ax, by - ay
-            # r d = a + u e: r = (a x e) / (d x e), u = (a x d) / (d x e), 0 <= u <= 1
-            a_cross_e = ax * ey - ay * ex
+            a_cross_e = ax * ey - ay * ex  # r d = a + u e: r = (a x e) / (d x e), u = (a x d) / (d x e), 0 <= u <= 1
             seen_under = math.atan2(ax * by - ay * bx, ax * bx + ay * by)
             bearing = (math.atan2(ay, ax) if seen_under >= 0.0 else math.atan2(by, bx)) - first
             bearing -= 2.0 * math.pi * math.floor(bearing / (2.0 * math.pi))

@@ -99,8 +99,7 @@ class Published:
         """JSON with the chunks from a frame on, or with all of them; None where no chunk begins with that frame."""
         end = max((c.end for c in self.large + self.small), default=0)
         at = self.begin if frame is None else frame
-        # large chunks take precedence
-        by_first = {c.first: c for c in self.small} | {c.first: c for c in self.large}
+        by_first = {c.first: c for c in self.small} | {c.first: c for c in self.large}  # large chunks take precedence
         found = []
         while at < end:
             chunk = by_first.get(at)
