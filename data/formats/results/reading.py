@@ -542,10 +542,8 @@ def _without_words(text: Text, manner: Manner) -> Text:
     body, words = replace(text, fields=tuple(row[1:] for row in text.fields)), {row[0] for row in text.fields}
     if manner.columns or len(body.fields[0]) not in WIDTHS or any(map(is_number, words)):
         return text
-    if (
-        not (are_matrices(body, 0) or tuple(only_reading(body.fields)) == POSE)
-        or header_names(text, manner) is not None
-    ):
+    turned = are_matrices(body, 0) or tuple(only_reading(body.fields)) == POSE
+    if not turned or header_names(text, manner) is not None:
         return text
     said = f"a word before each pose is left out ({', '.join(sorted(words))[:60]}); FILE:WORD reads those of one"
     return replace(body, cut="; ".join(filter(None, (text.cut, said))))

@@ -569,10 +569,9 @@ def inverted(both: InSpace) -> tuple[int, str, float, float] | None:
         whole = -np.einsum("nij,nj->ni", back, p.position)
         for how, other in zip(paths.INVERSE, (Poses(whole, back), Poses(p.position, back)), strict=True):
             off, left, narrow = _apart(*(other if i == k else q for i, q in enumerate(pair)))
-            fits = OTHER_FRAME * left < stated and TWICE * off < narrow
-            if how == paths.INVERSE[0]:
-                fits = TWICE * off < far and (TWICE * left < stated or OTHER_FRAME * off < far)
-            if fits and left < SURELY:
+            turned = TWICE * off < narrow and OTHER_FRAME * left < stated
+            moved = TWICE * off < far and (TWICE * left < stated or OTHER_FRAME * off < far)
+            if left < SURELY and (moved if how == paths.INVERSE[0] else turned):
                 found.append(((1 + k) * _driven(p) / _driven(other), k, how, stated, left))
     return min(found)[1:] if found else None
 
@@ -585,7 +584,7 @@ def _driven(p: Poses) -> float:
 
 
 def _apart(a: Poses, b: Poses) -> tuple[float, float, float]:
-    """Errors after Sim(3) and a turn of the body: of positions by the path's size, of rotations [deg]; second extent."""
+    """Errors after Sim(3) and a turn of the body: of positions by the path's size, of rotations [deg]; second axis."""
     fit = aligning(a, b, SIM3)
     assert fit is not None  # there are matches
     size = np.linalg.svd((b.position - b.position.mean(axis=0)) / math.sqrt(len(b.position)), compute_uv=False)
