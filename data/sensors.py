@@ -357,8 +357,7 @@ class Line(Sensor):
     def distances(self, landmarks: Array, pose: Array) -> Array:
         """See `Sensor.distances`."""
         rho, alpha = landmarks.T
-        distance: Array = np.abs(rho - np.cos(alpha) * pose[..., 0] - np.sin(alpha) * pose[..., 1])
-        return distance
+        return np.asarray(np.abs(rho - np.cos(alpha) * pose[..., 0] - np.sin(alpha) * pose[..., 1]))
 
 
 class Bearing(Sensor):
@@ -425,15 +424,12 @@ class EachSensor:
 
     def residual(self, z: Array, z_hat: Array) -> Array:
         """See `Sensor.residual`, of (m, 2) each."""
-        found: Array = self._each("residual", z, z_hat)
-        return found
+        return np.asarray(self._each("residual", z, z_hat))
 
     def polar(self, z: Array) -> Array:
         """See `Sensor.polar`; zero in the place of what is not measured."""
-        found: Array = self._each("polar", z)
-        return found
+        return np.asarray(self._each("polar", z))
 
     def in_view(self, z: Array) -> BoolArray:
         """See `Sensor.in_view`."""
-        found: BoolArray = self._each("in_view", z)
-        return found
+        return np.asarray(self._each("in_view", z))

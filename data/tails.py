@@ -21,8 +21,7 @@ def log_tail(square: Array | float, dof: Array | IntArray | float) -> Array:
         series = np.log1p((a - 1.0) / far * (1.0 + (a - 2.0) / far))
         beyond = (a - 1.0) * np.log(far) - x - special.gammaln(a) + series
         near = np.where(tail < 0.5, np.log(np.maximum(tail, LEAST)), np.log1p(-special.gammainc(a, x)))
-    out: Array = np.where(tail > LEAST, near, beyond)
-    return out
+    return np.asarray(np.where(tail > LEAST, near, beyond))
 
 
 def log_below(square: Array | float, dof: Array | IntArray | float) -> Array:
@@ -36,8 +35,7 @@ def log_below(square: Array | float, dof: Array | IntArray | float) -> Array:
         series = np.log1p(np.exp(np.where(x < a, powers, -np.inf)).sum(0))
         beyond = a * np.log(x) - x - special.gammaln(a + 1.0) + series
         near = np.where(share < 0.5, np.log(np.maximum(share, LEAST)), np.log1p(-special.gammaincc(a, x)))
-    out: Array = np.where(share > LEAST, near, beyond)
-    return out
+    return np.asarray(np.where(share > LEAST, near, beyond))
 
 
 def least_of(log_p: Array | float, count: Array | float) -> Array:

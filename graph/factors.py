@@ -61,8 +61,7 @@ def is_point(sensor: Sensor, z: Array, R: Array) -> BoolArray:
     if sensor.kind != RANGE_BEARING:
         return np.full(len(z), sensor.locates)
     sigma = np.sqrt(R[:, 0, 0])
-    near: BoolArray = (z[:, 0] < NEAR * sigma) & (sigma < UNMEASURED * np.maximum(z[:, 0], 1.0))
-    return near
+    return np.asarray((z[:, 0] < NEAR * sigma) & (sigma < UNMEASURED * np.maximum(z[:, 0], 1.0)))
 
 
 noise = gtsam.noiseModel

@@ -117,8 +117,7 @@ def increment_factor(
                 H[2] = J[:, :q]
             if errors.drift >= 0:
                 H[-1] = J[:, q:]
-        linear: Array = found[0] + J @ (at - about)
-        return linear
+        return np.asarray(found[0] + J @ (at - about))
 
     return gtsam.CustomFactor(UNIT[3], keys, residual)
 
@@ -272,8 +271,7 @@ class OpenEnd:
 
     def inside(self, pose: Array) -> Array:
         """A robot's pose (3,) in the frame of the graph."""
-        there: Array = self.frame.poses_in(pose[None], self.b[None])[0]
-        return there
+        return np.asarray(self.frame.poses_in(pose[None], self.b[None])[0])
 
     def place(self, pose: Array, *, joined: bool = False) -> None:
         """Start the newest pose at another pose (3,) of the graph, if there was motion or it is in the graph."""

@@ -130,8 +130,7 @@ def _antenna(
             R = pose.rotation().matrix()
             arm = R @ lever
             H[0] = np.column_stack([R, [-arm[1], arm[0]]])
-        away: Array = pose.transformFrom(lever) - z
-        return away
+        return np.asarray(pose.transformFrom(lever) - z)
 
     return residual
 

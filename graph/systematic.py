@@ -167,8 +167,7 @@ class Motion(Errors):
     def _by_knot(self, errors: Array) -> Array:
         """The drift (K,) in sigmas from errors (N, p): that of a knot's first frame."""
         at = np.searchsorted(self.of, np.arange(self.knots))
-        found: Array = errors[at, self.drift] / self.sigma[self.drift] if self.knots else np.empty(0)
-        return found
+        return np.asarray(errors[at, self.drift] / self.sigma[self.drift] if self.knots else np.empty(0))
 
     def errors(self, values: gtsam.Values) -> Array:
         """The errors (N, p) into each frame, in their units."""

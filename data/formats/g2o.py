@@ -453,9 +453,8 @@ def graph_text(inputs: Inputs, estimate: Estimate, ids: Sequence[int] | None = N
     """The graph of poses `ids` (default: `pose_ids`), landmarks under their numbers, and closures.
 
     Landmarks whose numbers are among the given ids follow these instead. Observations become points in the body frame,
-    to first order, or bearings. Fixes of positions and poses of the body become
-    priors. Without them the first pose is fixed, and so are landmarks of a known map. UsageError where landmarks are
-    walls.
+    to first order, or bearings. Fixes of positions and poses of the body become priors. Without them the first pose is
+    fixed, and so are landmarks of a known map. UsageError where landmarks are walls.
     """
     _require_points(inputs)
     n, o = len(inputs), inputs.observations

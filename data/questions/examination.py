@@ -487,9 +487,8 @@ def paths_otherwise(
 
 
 TURNS_ABOUT, MOUNTED, WELL, EXACTLY = 0.3, 17.0, 0.15, 0.25
-"""rad, least deviation of headings whose unit shows; deg, least turn of headings that is none of their
-errors; share of the motions up to which two paths differ by errors alone, unless a reading leaves less than that share
-of it."""
+"""rad, least deviation of headings whose unit shows; deg, least turn of headings that is none of their errors; share of
+the motions up to which two paths differ by errors alone, unless a reading leaves less than that share of it."""
 ORDERS = {"turn-first": 0.5, "drive-first": -0.5}
 """By name: share of a step's turn by which its motion points further than along the arc. A chord in the middle heading,
 the third order of the textbooks, differs from the arc by a 24th of the turn's square only."""

@@ -115,8 +115,7 @@ def repeated_in_frame(frame: IntArray, label: IntArray) -> IntArray:
     """Observations (indices, ascending) whose label >= 0 occurs earlier in the same frame."""
     order = np.lexsort((np.arange(len(frame)), label, frame))
     f, i = frame[order], label[order]
-    again = (f[1:] == f[:-1]) & (i[1:] == i[:-1]) & (i[1:] >= 0)
-    return np.sort(order[1:][again])
+    return np.sort(order[1:][(f[1:] == f[:-1]) & (i[1:] == i[:-1]) & (i[1:] >= 0)])
 
 
 def _oddities(log: Log, outside: IntArray) -> list[tuple[str, str, list[int]]]:

@@ -45,14 +45,12 @@ def thinned(curve: Array, most: int = MOST_BINS) -> IntArray:
         for each in (np.where(gap, -np.inf, -curve[at]), np.where(gap, -np.inf, curve[at]), gap)
     )
     known = ~gap.all(axis=1)
-    kept = [first, after - 1, least[known], greatest[known], missing[gap.any(axis=1)]]
-    return np.unique(np.concatenate(kept))
+    return np.unique(np.concatenate([first, after - 1, least[known], greatest[known], missing[gap.any(axis=1)]]))
 
 
 def sigmas(trajectory: Trajectory) -> Array:
     """Standard deviations (N, 3) [m, m, rad] claimed; variances slightly below zero (rounding) count as zero."""
-    variance = np.diagonal(trajectory.covariance, axis1=1, axis2=2)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+    return np.asarray(np.sqrt(np.maximum(np.diagonal(trajectory.covariance, axis1=1, axis2=2), 0.0)))
 
 
 def longest_sigma(trajectory: Trajectory) -> Array:
@@ -95,8 +93,7 @@ def heading_of(s: Series) -> str:
 def reach(curves: Sequence[Array]) -> float:
     """Half height of an axis: what the curves (N,) need, short of a rare spike; 0 where nothing is known."""
     finite = [c[np.isfinite(c)] for c in curves]
-    needs = [float(np.quantile(np.abs(c), 0.998)) for c in finite if len(c)]
-    return max(needs, default=0.0)
+    return max([float(np.quantile(np.abs(c), 0.998)) for c in finite if len(c)], default=0.0)
 
 
 def common_reach(needs: Sequence[float]) -> float:

@@ -123,8 +123,7 @@ def _by_importance(runs: Sequence[Run], kinds: Sequence[tuple[int, int]]) -> lis
         first = next(fitting, None)
         if first is not None and not any(first is c for c in chosen):
             chosen.append(first)
-    rest = [r for r in runs if not any(r is c for c in chosen)]
-    return [*chosen, *sorted(rest, key=lambda r: _place(order, r))]
+    return [*chosen, *sorted([r for r in runs if not any(r is c for c in chosen)], key=lambda r: _place(order, r))]
 
 
 def _place(order: Sequence[str], run: Run) -> int:

@@ -163,8 +163,7 @@ def ellipses(mean: Array, covariance: Array, sigmas: float = SIGMAS, count: int 
     axes = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     angle = np.linspace(0.0, 2.0 * np.pi, count)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    outline: Array = mean[:, None, :] + sigmas * circle @ np.swapaxes(axes, -1, -2)
-    return outline
+    return np.asarray(mean[:, None, :] + sigmas * circle @ np.swapaxes(axes, -1, -2))
 
 
 def longest_axis(covariance: Array) -> Array:

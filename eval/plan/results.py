@@ -166,8 +166,7 @@ def _known(flag: str, value: str, known: Sequence[str]) -> str:
 
 def true_path(file: str, names: Sequence[str], reading: Matching, *, rows: bool = False) -> GivenPath:
     """The true path in a file, whose `rows` hold the estimate, too; its covariance is not used."""
-    manner = manner_of(TRUTH, names, reading)
-    return read_path(file, replace(manner, frame=None, order=None, rows=rows))
+    return read_path(file, replace(manner_of(TRUTH, names, reading), frame=None, order=None, rows=rows))
 
 
 def truth_of(log: Log, path: GivenPath | None) -> TruePath | None:

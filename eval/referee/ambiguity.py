@@ -41,8 +41,7 @@ def variance_of(m: MapEstimate, number: IntArray, variance: Array) -> Array:
     size = int(max(m.number.max(initial=-1), number.max(initial=-1))) + 1
     count = np.bincount(number, minlength=size)
     total = np.bincount(number, weights=variance, minlength=size)
-    mean: Array = (total / np.maximum(count, 1))[m.number]
-    return mean
+    return np.asarray((total / np.maximum(count, 1))[m.number])
 
 
 def neighbours(m: MapEstimate, variance: Array, number: IntArray, frame: IntArray) -> IntArray:
@@ -79,5 +78,4 @@ def _near(m: MapEstimate, variance: Array) -> IntArray:
     i, j = rows.T
     S = m.covariance[i] + m.covariance[j] + np.maximum(variance[i], variance[j])[:, None, None] * np.eye(2)
     d = m.xy[i] - m.xy[j]
-    near: IntArray = rows[squared_errors(d, S) < threshold]
-    return near
+    return np.asarray(rows[squared_errors(d, S) < threshold])

@@ -135,8 +135,7 @@ def majority_agreement(decisions: IntArray, true_id: IntArray) -> float:
     if not paired.any():
         return float("nan")
     named = majority(decisions, true_id, np.zeros(len(decisions), np.bool_))
-    agrees = (true_id[paired] >= 0) & (named[decisions[paired]] == true_id[paired])
-    return float(np.mean(agrees))
+    return float(np.mean((true_id[paired] >= 0) & (named[decisions[paired]] == true_id[paired])))
 
 
 def share_within(decisions: IntArray, true_id: IntArray, taken_id: IntArray, places: LandmarkMap) -> float:

@@ -115,16 +115,14 @@ def squared_distance(error: Array, covariance: Array) -> Array:
 def nees(pose: Array, covariance: Array, truth: Array, quantity: str) -> Array:
     """NEES (N,) per frame of `pose` (dof 3), `position` (2) or `heading` (1)."""
     columns = list(QUANTITIES[quantity])
-    error = se2.pose_error(pose, truth)[:, columns]
-    return squared_distance(error, covariance[:, columns][:, :, columns])
+    return squared_distance(se2.pose_error(pose, truth)[:, columns], covariance[:, columns][:, :, columns])
 
 
 def nearly_singular(covariance: Array, floor: float) -> BoolArray:
     """Frames (N,) whose covariance (N, k, k) has an eigenvalue below `THIN` times the increments' floor."""
     known = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
     smallest = np.linalg.eigvalsh(np.where(known[:, None, None], covariance, np.eye(covariance.shape[-1])))[:, 0]
-    thin: BoolArray = known & (smallest < THIN * floor)
-    return thin
+    return np.asarray(known & (smallest < THIN * floor))
 
 
 def mean_or_nan(values: Array, of: Callable[[Array], Any] = np.mean) -> float:

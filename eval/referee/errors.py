@@ -33,8 +33,7 @@ def rms(values: Array) -> float:
 
 def position_distance(pose: Array, truth: Array) -> Array:
     """Distance [m] (N,) between estimated and true positions, NaN without truth."""
-    distance: Array = np.hypot(pose[:, 0] - truth[:, 0], pose[:, 1] - truth[:, 1])
-    return distance
+    return np.asarray(np.hypot(pose[:, 0] - truth[:, 0], pose[:, 1] - truth[:, 1]))
 
 
 def heading_rmse_deg(pose: Array, truth: Array) -> float:

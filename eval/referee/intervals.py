@@ -166,8 +166,7 @@ def resampled_means(values: Array, block: float, rng: np.random.Generator, repli
         length = np.diff(np.minimum(ends, n).astype(np.int64), axis=1, prepend=0)
         start = rng.integers(n, size=(rows, width))
         sums[first : first + rows] = (twice[start + length] - twice[start]).sum(axis=1)
-    means: Array = sums / n
-    return means
+    return np.asarray(sums / n)
 
 
 def difference_rows(

@@ -39,8 +39,7 @@ def crps(error: Array, sigma: Array) -> Array:
     """
     z = error / sigma
     density = np.exp(-0.5 * z**2) / math.sqrt(2.0 * math.pi)
-    score: Array = sigma * (z * special.erf(z / math.sqrt(2.0)) + 2.0 * density - 1.0 / math.sqrt(math.pi))
-    return score
+    return np.asarray(sigma * (z * special.erf(z / math.sqrt(2.0)) + 2.0 * density - 1.0 / math.sqrt(math.pi)))
 
 
 def energy_score(error: Array, covariance: Array) -> Array:

@@ -205,8 +205,7 @@ def _map_columns(run: Run, phase: str, log: Log) -> dict[str, object]:
 
 def _landmark_distance(estimate: MapEstimate, true_id: IntArray, log: Log) -> Array:
     """Distance [m] (L,) of mapped landmarks from the true ones `true_id` (L,); NaN where unknown."""
-    distance: Array = np.hypot(*errors.landmark_errors(estimate.xy, true_id, log.truth, log.recorded.sensor).T)
-    return distance
+    return np.asarray(np.hypot(*errors.landmark_errors(estimate.xy, true_id, log.truth, log.recorded.sensor).T))
 
 
 def _innovation_columns(run: Run, phase: str, log: Log) -> dict[str, object]:

@@ -57,8 +57,7 @@ def shown(trust: Trust) -> list[Row]:
     room = MOST - len(headline) - sum(r.statistic in always for r in outside)
     more = [r for r in outside if r.statistic not in always][: max(room, 0)]
     telling = [] if trust.twins else [r for r in rest if r not in headline and _stands_out(r)]
-    kept = [r for r in outside if r.statistic in always or r in more]
-    return [*kept, *headline, *telling][:MOST]
+    return [*[r for r in outside if r.statistic in always or r in more], *headline, *telling][:MOST]
 
 
 def _key(row: Row) -> tuple[str, str]:
@@ -221,8 +220,7 @@ quarter of what was known before (1/0.9² - 1)."""
 
 def determined(systematic: Systematic, errors: Systematics) -> tuple[bool, ...]:
     """Of each error (p,), whether data say more of it than was known before; of the drift in the middle of the run."""
-    left = np.median(errors.sigma, axis=0) / systematic.sigma
-    return tuple((left <= UNTOLD).tolist())
+    return tuple(((np.median(errors.sigma, axis=0) / systematic.sigma) <= UNTOLD).tolist())
 
 
 def best(runs: Sequence[Run]) -> Systematics | None:

@@ -184,8 +184,7 @@ def _drawn_closures(closures: Closures, path: Array, rng: np.random.Generator) -
 
 def _root(covariance: Array) -> Array:
     size, axes = np.linalg.eigh(covariance)
-    root: Array = axes * np.sqrt(np.maximum(size, 0.0))[:, None, :]
-    return root
+    return np.asarray(axes * np.sqrt(np.maximum(size, 0.0))[:, None, :])
 
 
 def digest_of(source: Source) -> str:

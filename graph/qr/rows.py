@@ -276,8 +276,7 @@ class Linearizer:
 
 def _within(size: IntArray) -> IntArray:
     """Number of each row in its block, for blocks of these sizes one after the other."""
-    found: IntArray = np.arange(size.sum()) - np.repeat(np.cumsum(size) - size, size)
-    return found
+    return np.asarray(np.arange(size.sum()) - np.repeat(np.cumsum(size) - size, size))
 
 
 def _moved(observation: ObservationFactors, xy: Array) -> Factor:

@@ -69,8 +69,7 @@ class Components:
 
 def _two_sided(ratio: Array, freedom: Array) -> Array:
     x = ratio * freedom
-    out: Array = np.minimum(np.log(2.0) + np.minimum(log_tail(x, freedom), log_below(x, freedom)), 0.0)
-    return out
+    return np.asarray(np.minimum(np.log(2.0) + np.minimum(log_tail(x, freedom), log_below(x, freedom)), 0.0))
 
 
 def weighted_rows(f: Factored, scale: Sequence[Array] | None = None) -> csr_matrix:
@@ -664,8 +663,7 @@ def _null(f: linear.Factored, dropped: IntArray) -> Array:
     n = linear.solved(f, np.asarray(-(A.T @ A[:, dropped]).toarray()))
     n[dropped, np.arange(len(dropped))] += 1.0
     n *= np.where(norm > 0.0, norm, 1.0)
-    out: Array = n / np.maximum(np.abs(n).max(0, initial=0.0), np.finfo(float).tiny)
-    return out
+    return np.asarray(n / np.maximum(np.abs(n).max(0, initial=0.0), np.finfo(float).tiny))
 
 
 def _duplicates(f: linear.Factored) -> tuple[tuple[int, int], ...]:

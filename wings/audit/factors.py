@@ -51,13 +51,11 @@ class Directions:
     def R(self) -> Array:
         """Redundancy (n, d) of each direction, zero where an error is not seen."""
         R = 1.0 - self.weight[:, None] * self.h
-        out: Array = np.where(R > UNSEEN, R, 0.0)
-        return out
+        return np.asarray(np.where(R > UNSEEN, R, 0.0))
 
     def tested(self, r: Array) -> Array:
         """T of residuals (n, d, c), for each of c draws: (n, c)."""
-        out: Array = np.einsum("nd,ndc->nc", self.gain, np.matmul(self.V.transpose(0, 2, 1), r) ** 2)
-        return out
+        return np.asarray(np.einsum("nd,ndc->nc", self.gain, np.matmul(self.V.transpose(0, 2, 1), r) ** 2))
 
     @property
     def gain(self) -> Array:
@@ -175,8 +173,7 @@ def examine(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArray])
 
 def row_redundancies(s: Directions) -> Array:
     """Redundancy (n, d) of each row of a group."""
-    out: Array = 1.0 - s.weight[:, None] * np.einsum("nij,nj->ni", s.V**2, s.h)
-    return out
+    return np.asarray(1.0 - s.weight[:, None] * np.einsum("nij,nj->ni", s.V**2, s.h))
 
 
 def tests(f: Factored, seen: Sequence[Directions]) -> tuple[Array, IntArray]:
@@ -189,8 +186,7 @@ def tests(f: Factored, seen: Sequence[Directions]) -> tuple[Array, IntArray]:
 
 def log_p_of(T: Array | float, rank: IntArray | int) -> Array:
     """Logarithms of p values, 0 where nothing is seen."""
-    out: Array = np.where(np.asarray(rank) > 0, log_tail(T, np.maximum(rank, 1)), 0.0)
-    return out
+    return np.asarray(np.where(np.asarray(rank) > 0, log_tail(T, np.maximum(rank, 1)), 0.0))
 
 
 def _own(f: Factored, variables: IntArray, x: Array, metres: Sequence[IntArray]) -> Array:

@@ -66,9 +66,8 @@ MAKE: dict[str, Callable[[Array], Any]] = {POSE2: pose2, POSE3: pose3, POINT2: n
 def build(file: GraphFile, robust: Collection[int] = ()) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values, list[str]]:
     """Graph, values, and the kind of each factor that is not a relation of poses; one factor an edge, in order.
 
-    The edges `robust`, by number, have Cauchy's loss.
-    Values without a vertex follow the edges from the first pose. At the end: priors, and of fixed vertices constraints,
-    if there are several or priors: else one ties the gauge alone.
+    The edges `robust`, by number, have Cauchy's loss. Values without a vertex follow the edges from the first pose. At
+    the end: priors, and of fixed vertices constraints, if there are several or priors: else one ties the gauge alone.
     """
     graph, values, names = gtsam.NonlinearFactorGraph(), gtsam.Values(), list[str]()
     for number, edge in enumerate(file.edges):

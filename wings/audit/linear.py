@@ -72,8 +72,7 @@ def index_of(variables: IntArray, at: IntArray, dim: IntArray) -> IntArray:
     """Columns (n, c) of the variables (n, k) of each factor, the first of each variable at `at` (V,)."""
     sizes = dim[variables[0]]
     within = np.concatenate([np.arange(size) for size in sizes]) if len(sizes) else np.zeros(0, np.int64)
-    out: IntArray = np.repeat(at[variables], sizes, axis=1) + within
-    return out
+    return np.asarray(np.repeat(at[variables], sizes, axis=1) + within)
 
 
 def ordering(system: System) -> IntArray:

@@ -366,8 +366,7 @@ def corner_points(pixels: Array, xyz: Points, camera: Array | None) -> Array | s
     inverse = pixels @ plane[:2] + plane[2]
     if near.mean() < MIN_ON_PLANE or off.max() > MAX_OFF_PLANE or inverse.min() <= 0:
         return NOT_PLANAR
-    rays = np.column_stack([camera[:, 0] * pixels + camera[:, 1], np.ones(len(pixels))])
-    return np.asarray(rays / inverse[:, None])
+    return np.asarray(np.column_stack([camera[:, 0] * pixels + camera[:, 1], np.ones(len(pixels))]) / inverse[:, None])
 
 
 def size_fault(points: Array, width: float, aspect: float) -> str | None:

@@ -174,5 +174,4 @@ def _optimum(team: Team, linear: _Linear, values: gtsam.Values, first: IntArray)
     if len(linear.labels):
         xy = np.array([values.atPoint2(L(n)) for n in linear.labels.tolist()])
         state = MapState(linear.labels, xy, covariance[linear.poses :, :2, :2])
-    dof = int(linear.height.sum() - linear.dim.sum())
-    return TeamSmoothed(paths, state, 2.0 * error, dof, step, left)
+    return TeamSmoothed(paths, state, 2.0 * error, int(linear.height.sum() - linear.dim.sum()), step, left)

@@ -134,8 +134,7 @@ def _corridor(asked: tuple[str, ...], setup: Setup, logs: Sequence[Log]) -> list
 
 def _visual(asked: tuple[str, ...], setup: Setup, log: Log) -> list[Experiment]:
     work = (Work("known", asked if asked != DEFAULT_ESTIMATORS else VISUAL),)
-    settled = setup.settled(log.labels_are_sensed)
-    return [Experiment(log, task, work, settled) for task in ("localization", "slam")]
+    return [Experiment(log, task, work, setup.settled(log.labels_are_sensed)) for task in ("localization", "slam")]
 
 
 TABLE = rows(Options)

@@ -207,8 +207,7 @@ class Scan(NamedTuple):
     def metres(self) -> Array:
         """Ranges (B,) [m], 0 for no return."""
         mm = np.array(self.ranges, float)
-        found: Array = np.where(mm < self.beams.reach, mm / 1000.0, 0.0)
-        return found
+        return np.asarray(np.where(mm < self.beams.reach, mm / 1000.0, 0.0))
 
 
 def encode_scan(scan: Scan) -> bytes:

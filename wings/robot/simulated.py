@@ -313,8 +313,7 @@ class Robot:
         """The lidar's scan at the time of an answer that was just given; None without a lidar."""
         if self.lidar is None:
             return None
-        odometry = (answer.x, answer.y, answer.heading)
-        return self.lidar.scan(self.room, self.pose, self.time, odometry, self._light)
+        return self.lidar.scan(self.room, self.pose, self.time, (answer.x, answer.y, answer.heading), self._light)
 
     def _distances(self) -> list[int]:
         p = self.physics

@@ -121,8 +121,7 @@ def _yaw(C: Array) -> Array:
 
 def tilts(estimate: Poses, truth: Poses) -> Array:
     """Angles (n,) [rad] between the verticals of the two worlds, as each pair of poses has them."""
-    difference = truth.rotation @ np.swapaxes(estimate.rotation, -1, -2)
-    return np.asarray(np.arccos(np.clip(difference[:, 2, 2], -1.0, 1.0)))
+    return np.asarray(np.arccos(np.clip((truth.rotation @ np.swapaxes(estimate.rotation, -1, -2))[:, 2, 2], -1.0, 1.0)))
 
 
 def distances(estimate: Poses, truth: Poses) -> Array:

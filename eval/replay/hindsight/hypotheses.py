@@ -91,8 +91,7 @@ class DetectionRates:
     @property
     def rates(self) -> Array:
         """Detection probabilities (BINS,)."""
-        rates: Array = self._seen / self._expected
-        return rates
+        return np.asarray(self._seen / self._expected)
 
     def within(self, z_hat: Array, HPHt: Array, reach: float) -> tuple[IntArray, IntArray]:
         """Landmarks (k,) of expected measurements (n, 2) and covariances (n, 2, 2) that are well in view, and the bin

@@ -334,9 +334,8 @@ def _log_sum(terms: Array) -> float:
 
 @njit
 def _likelihoods(codes: IntArray, p: Array, chance: float, leaving: float, result: Array, expected: Array) -> None:
-    """Log-likelihoods `result` (3,) of the kinds: sums over the codes k before which a landmark may have left.
-    expected (3,), written: a transient landmark vanished at once, if it has codes, or later; codes that
-    it lasted.
+    """Log-likelihoods `result` (3,) of the kinds: sums over the codes k before which a landmark may have left. expected
+    (3,), written: a transient landmark vanished at once, if it has codes, or later; codes that it lasted.
     """
     (real, at_once, later, appears), a, b = p[0], p[1].copy(), p[2].copy()
     rate, before = a / (a + b), 0

@@ -81,8 +81,7 @@ def extended(scan: Scan, sensor: Sensor, observations: FrameObservations, rows: 
     for q, i in enumerate(new.tolist(), n):
         joint[2 * q : 2 * q + 2, 2 * q : 2 * q + 2] = R[i]
         seen.append([int(rows[i])])
-    points = np.concatenate([mean.reshape(-1, 2), xy[new]])
-    return Scan(points, joint, tuple(tuple(s) for s in seen))
+    return Scan(np.concatenate([mean.reshape(-1, 2), xy[new]]), joint, tuple(tuple(s) for s in seen))
 
 
 def _pairs(scan: Scan, xy: Array, R: Array) -> list[tuple[int, int]]:
@@ -156,8 +155,7 @@ def distance_sigmas(xy: Array, P: Array) -> Array:
     blocks = blocks_of(P)
     own = blocks[np.arange(m), np.arange(m)]
     difference = own[:, None] + own[None] - blocks - blocks.transpose(1, 0, 2, 3)
-    variance = np.einsum("mna,mnab,mnb->mn", u, difference, u)
-    return np.asarray(np.sqrt(np.maximum(variance, constants.EXACT_VARIANCE)))
+    return np.asarray(np.sqrt(np.maximum(np.einsum("mna,mnab,mnb->mn", u, difference, u), constants.EXACT_VARIANCE)))
 
 
 def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, area: float) -> Place | None:

@@ -40,8 +40,7 @@ class Grid:
     @property
     def probability(self) -> Array:
         """Probability of occupancy (H, W), 0.5 where unknown."""
-        p: Array = 1.0 / (1.0 + np.exp(-self.log_odds))
-        return p
+        return np.asarray(1.0 / (1.0 + np.exp(-self.log_odds)))
 
     @property
     def extent(self) -> tuple[float, float, float, float]:

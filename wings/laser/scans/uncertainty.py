@@ -186,8 +186,7 @@ TAILS = np.geomspace(2.5, 200.0, 40)  # degrees of freedom of Student's t that a
 def residuals(poses: Array, key1: IntArray, key2: IntArray, relative: Array, covariance: Array) -> Array:
     """Squared Mahalanobis distances (E,) of relative poses (E, 3) with covariances (E, 3, 3) from key poses (K, 3)."""
     error = pose_error(between(poses[key1], poses[key2]), relative)
-    d2: Array = np.einsum("ki,ki->k", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
-    return d2
+    return np.asarray(np.einsum("ki,ki->k", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0]))
 
 
 def spanned(keys: int, key1: IntArray, key2: IntArray) -> BoolArray:

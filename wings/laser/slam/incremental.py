@@ -286,5 +286,4 @@ class ScanSlam:
 
 def is_far(closure: Closure, poses: Array) -> bool:
     """Whether a loop closure disagrees with the estimate of the key poses (K, 3)."""
-    error = pose_error(between(poses[closure.key1], poses[closure.key2]), closure.relative)
-    return bool((np.abs(error) > FAR).any())
+    return bool((np.abs(pose_error(between(poses[closure.key1], poses[closure.key2]), closure.relative)) > FAR).any())
