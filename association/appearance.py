@@ -12,8 +12,6 @@ their probability: the squared distance of right pairings is then chi-square plu
 Both terms add up over the pairings of a frame, as no landmark is paired twice there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -44,11 +42,11 @@ class Unlike(NamedTuple):
     log_determinant: Array
     right: Evidence
 
-    def only(self, which: IntArray) -> Unlike:
+    def only(self, which: IntArray) -> "Unlike":
         """The same of some candidates."""
         return self._replace(distance=self.distance[:, which], log_determinant=self.log_determinant[:, which])
 
-    def of(self, rows: IntArray) -> Unlike:
+    def of(self, rows: IntArray) -> "Unlike":
         """The same of some observations."""
         return self._replace(distance=self.distance[rows], log_determinant=self.log_determinant[rows])
 
@@ -64,7 +62,7 @@ class Looks:
         self._names: tuple[str, ...] = ()
 
     @classmethod
-    def of_map(cls, known: LandmarkMap | None) -> Looks:
+    def of_map(cls, known: LandmarkMap | None) -> "Looks":
         """As a map states them; nothing is known without one."""
         found = cls()
         if known is not None and known.appearance is not None:

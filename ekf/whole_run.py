@@ -7,8 +7,6 @@ all others are parked. No landmark is restored within an epoch, so y is as long 
     x_B += C y,    P_BB += C P_yy C',    P_BA = C P_yA          (C = P_BA at the beginning)
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -46,7 +44,7 @@ class FilterRun(NamedTuple):
 
 def run_filter(
     inputs: Inputs, decisions: IntArray, *, threshold: float = np.inf, options: FilterOptions = DEFAULT,
-    epochs: list[Epoch] | None = None,
+    epochs: "list[Epoch] | None" = None,
 ) -> FilterRun:  # fmt: skip
     """EKF localization (inputs with a map) or EKF-SLAM (without) with given decisions (M,). SLAM: decisions are
     landmark numbers in order of creation, `NEW` or `DISCARD`; localization: map ids or `DISCARD`.

@@ -9,8 +9,6 @@ gate updates the few poses, as in a filter, before the next one is tested. A smo
 graph at once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -78,7 +76,7 @@ class PoseFactor:
         """Whether it ties two frames."""
         return len(self.frames) == 2
 
-    def left_out(self) -> PoseFactor:
+    def left_out(self) -> "PoseFactor":
         """The same without a part in the estimate."""
         return replace(self, used=False)
 

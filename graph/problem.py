@@ -5,8 +5,6 @@ all its observations, so one variable stands for it, however often it is observe
 uncertain map are held to a micrometre.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -137,7 +135,7 @@ class Problem:
         landmark[self.rows] = xy
         return Start(frame.poses_out(pose, errors)[0], landmark, errors)
 
-    def loosened(self, share: float) -> Problem:
+    def loosened(self, share: float) -> "Problem":
         """The same with increments whose positions are no better than to a `share` of the worst sigma."""
         covariance = self.motion.increments.covariance.copy()
         worst = np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1]

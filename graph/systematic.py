@@ -10,8 +10,6 @@ biased low by the noise's share of the squared motion (Fuller, "Measurement Erro
 the whitening depend on the errors: a large range error would make any residual cheap.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -104,7 +102,7 @@ class Errors:
             found.append((drift_key(knot), J[:, self.drift : self.drift + 1]))
         return found
 
-    def along(self, increments: Increments) -> Motion:
+    def along(self, increments: Increments) -> "Motion":
         """These errors with the increments of a whole path."""
         return Motion(self.names, self.sigma, self.length, self.frame, increments)
 

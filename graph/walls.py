@@ -10,8 +10,6 @@ Batch problems, and known walls, have custom factors of a vector of two, in Pyth
 `graph.qr`; gtsam's own optimizers would copy all values in every call.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -114,7 +112,7 @@ class WallObservation(factors.ObservationFactors):
         """Variables of this observation alone."""
         return super().own_variables + ([] if self.point is None else [self.point[0]])
 
-    def renumbered(self, number: int, *, opposite: bool = False) -> WallObservation:
+    def renumbered(self, number: int, *, opposite: bool = False) -> "WallObservation":
         """The same observation (SLAM) of another wall; `opposite`: one with the opposite normal."""
         row = 0 if self.point is None else gtsam.symbolIndex(self.point[0])
         other = replace(self, number=number, key=L(number), name=self.name ^ opposite, wall=None)

@@ -4,8 +4,6 @@ Explanations are compared by their gain in log-likelihood: a systematic error by
 the stated variance by dof (F - 1 - ln F) / 2, with dof from the spread among twins.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -43,7 +41,7 @@ class Finding:
     error: float = math.nan  # standard error of the size
     gain: float = math.nan  # of log-likelihood
     other: tuple[str, ...] = ()  # systematic errors that cannot be distinguished from it
-    parts: tuple[Finding, ...] = ()  # of a vector of systematic errors
+    parts: "tuple[Finding, ...]" = ()  # of a vector of systematic errors
     frames: tuple[tuple[int, int], ...] = ()  # first and last of each jump, burst, or change of the noise
     outliers: int = 0
     unit: str = ""  # of size and error, once they are a person's (`eval.judgement.causes`)

@@ -1,7 +1,5 @@
 """The report as Markdown and as one HTML page that needs nothing else: images inside, no script, no network."""
 
-from __future__ import annotations
-
 import base64
 import io
 import re
@@ -119,7 +117,7 @@ class Image(NamedTuple):
     width: int
     height: int
     source: Markup
-    narrow: Image | None = None
+    narrow: "Image | None" = None
 
 
 def images(folder: Path, stems: Sequence[str]) -> dict[str, Image]:

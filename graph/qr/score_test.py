@@ -8,8 +8,6 @@ likewise: the log is corrected by them (`data.motion.systematic`), in the robot'
 sigmas, and a prior.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -133,7 +131,7 @@ class Score(NamedTuple):
         root = np.sqrt(np.diag(self.information))
         return np.divide(self.score, root, out=np.zeros_like(root), where=root > 0.0)
 
-    def given(self, others: IntArray) -> Score:
+    def given(self, others: IntArray) -> "Score":
         """The score with the errors `others` (q,) estimated as well."""
         root = np.sqrt(np.diag(self.information))
         scale = np.where(root > 0.0, root, 1.0)

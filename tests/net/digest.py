@@ -5,8 +5,6 @@ processor: how many rows and blanks, and two weighted sums. It is in the units o
 absolute values.
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import math
@@ -64,7 +62,7 @@ class Digest:
         return f"{self.exact} {self.rows} {self.blanks} {self.scale:.10g} {self.sums[0]:.0f} {self.sums[1]:.0f}"
 
     @staticmethod
-    def parse(text: str) -> Digest:
+    def parse(text: str) -> "Digest":
         exact, rows, blanks, scale, *sums = text.split()
         if scale == "words":
             return Digest(exact, int(rows), int(blanks), None, (0.0, 0.0))

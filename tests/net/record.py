@@ -1,7 +1,5 @@
 """The record: one file for each case, a line for each column."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import tempfile
@@ -23,7 +21,7 @@ class Record:
     files: dict[str, dict[str, str]]
 
     @staticmethod
-    def read(case: str) -> Record | None:
+    def read(case: str) -> "Record | None":
         """As it was committed; None: there is none."""
         path = RECORDED / f"{case}.json"
         if not path.is_file():

@@ -1,7 +1,5 @@
 """Graphs for the audit by what a user types: a file or a function; and the cure of a file."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -137,7 +135,7 @@ def cured(before: Opened, out: Path, draws: int = DRAWS, seed: int = 0, rejected
     return pd.DataFrame([_row("before", before.report.audit), _row("after", after.report.audit, made)])
 
 
-def _row(title: str, a: Audit, made: Cure | None = None) -> dict[str, object]:
+def _row(title: str, a: Audit, made: "Cure | None" = None) -> dict[str, object]:
     return {
         "graph": title, "factors": int(np.isfinite(a.factors.chi2).sum()),
         "left_out": len(made.left_out) if made else 0, "robust": len(made.robust) if made else 0,

@@ -8,8 +8,6 @@ Descriptors are RootSIFT (Arandjelovic and Zisserman, CVPR 2012) rounded to whol
 2^24, exact in float32, so matching is bit-identical for any number of threads.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -54,7 +52,7 @@ class Features:
     def __len__(self) -> int:
         return len(self.place)
 
-    def take(self, index: Indices) -> Features:
+    def take(self, index: Indices) -> "Features":
         """The features at some indices."""
         return Features(self.place[index], self.scale[index], self.descriptor[index])
 

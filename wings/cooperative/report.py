@@ -1,7 +1,5 @@
 """The report's section on a team: every robot alone and together, who was taken for whom, one map with all paths."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -120,7 +118,7 @@ def team_map(trials: Sequence[Trial]) -> Figure:
     return fig
 
 
-def company(group: Sequence[Trial], trials: Sequence[Trial]) -> Company | None:
+def company(group: Sequence[Trial], trials: Sequence[Trial]) -> "Company | None":
     """The team of a player's robot with all runs of its robots; None: it has no team."""
     given = group[0].log.recorded
     if not isinstance(given, TeamInputs) or given.team is None:

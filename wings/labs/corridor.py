@@ -1,7 +1,5 @@
 """The corridor lab in numbers: its logs by condition (people, odometry), and each of its runs in detail."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -42,7 +40,7 @@ class Lab:
     trials: dict[tuple[bool, bool], Trial]
     maintained: dict[tuple[bool, bool], Trial]
 
-    def find(self, switches: tuple[bool, bool], *names: str, maintained: bool = False) -> Shown | None:
+    def find(self, switches: tuple[bool, bool], *names: str, maintained: bool = False) -> "Shown | None":
         """The first finished run with one of these associations: the filter's, or else iSAM2's."""
         trial = (self.maintained if maintained else self.trials).get(switches)
         if trial is not None:

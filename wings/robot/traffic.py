@@ -20,8 +20,6 @@ differences modulo 2^16 are right. Odometry that restarted continues from the la
 motion in between is unknown.
 """
 
-from __future__ import annotations
-
 import binascii
 import math
 import struct
@@ -111,7 +109,7 @@ class Recording:
         if not any(self.folder.iterdir()):
             self.folder.rmdir()
 
-    def __enter__(self) -> Recording:
+    def __enter__(self) -> "Recording":
         return self
 
     def __exit__(self, *_: object) -> None:

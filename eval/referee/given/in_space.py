@@ -5,8 +5,6 @@ the vertical only, as in rpg_trajectory_evaluation and OpenVINS (`posyaw`). Posi
 open, which the orientations decide.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -49,7 +47,7 @@ class Poses(Locked):
         """Rows (n,) whose positions are known."""
         return np.asarray(np.isfinite(self.position).all(axis=1))
 
-    def of(self, rows: BoolArray | IntArray) -> Poses:
+    def of(self, rows: BoolArray | IntArray) -> "Poses":
         """The poses in some rows."""
         return Poses(self.position[rows], self.rotation[rows])
 

@@ -4,8 +4,6 @@ The truth is interpolated at these stamps where it is dense enough, and unknown 
 landmarks and covariances.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -247,7 +245,7 @@ class TruePath:
     path: GivenPath | None = None
 
     @classmethod
-    def of(cls, path: GivenPath) -> TruePath:
+    def of(cls, path: GivenPath) -> "TruePath":
         """The truth of a file."""
         return cls(path.time, path.pose, path)
 

@@ -11,8 +11,6 @@ next to a new landmark the others are.
 A frame is paired by joint compatibility (`pair`); a single observation never chooses among dense landmarks.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -116,7 +114,7 @@ class TentativeObservation(NamedTuple):
     covariance: Array
     travelled: float
 
-    def distance(self, other: TentativeObservation) -> float:
+    def distance(self, other: "TentativeObservation") -> float:
         """Squared Mahalanobis distance to another one."""
         (x, y), ((a, b), (_, c)) = (self.xy - other.xy).tolist(), (self.covariance + other.covariance).tolist()
         return float((c * x * x - 2.0 * b * x * y + a * y * y) / (a * c - b * b))

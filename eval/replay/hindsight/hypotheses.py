@@ -5,8 +5,6 @@ Three states and a given map make it affordable: every compatible pairing is fol
 contradict it. In SLAM each hypothesis would need its own map.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -51,7 +49,7 @@ class Choice(NamedTuple):
 
     row: int
     number: int
-    before: Choice | None
+    before: "Choice | None"
 
 
 @dataclass

@@ -9,8 +9,6 @@ with chi-square squares and weighted mean zero in the world. A moving landmark d
 innovations point in the direction of motion.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -91,13 +89,13 @@ class Visibility(NamedTuple):
     missed_seen: int = 0
     missed_missed: int = 0
 
-    def counting(self, before_missed: bool, seen: bool) -> Visibility:
+    def counting(self, before_missed: bool, seen: bool) -> "Visibility":
         """Add one detection opportunity."""
         counts = list(self)
         counts[2 * before_missed + (not seen)] += 1
         return Visibility(*counts)
 
-    def without(self, row: int) -> Visibility:
+    def without(self, row: int) -> "Visibility":
         """Leave out an unfinished row of misses: a landmark must not testify for itself."""
         if not row:
             return self

@@ -9,8 +9,6 @@ of "lost" against "healthy" to a cumulative sum, which never falls below zero (P
 began where the sum last left zero.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -210,11 +208,11 @@ class Handed(NamedTuple):
     R: Array
     number: IntArray
 
-    def of(self, rows: IntArray | BoolArray) -> Handed:
+    def of(self, rows: IntArray | BoolArray) -> "Handed":
         """A selection of rows."""
         return Handed(self.frame[rows], self.z[rows], self.R[rows], self.number[rows])
 
-    def and_then(self, frame: Frame, number: IntArray) -> Handed:
+    def and_then(self, frame: Frame, number: IntArray) -> "Handed":
         """Append observations of (a part of) a frame."""
         new = np.full(len(number), frame.number), *frame.observations, number
         return Handed(*(np.concatenate(both) for both in zip(self, new, strict=True)))

@@ -1,7 +1,5 @@
 """What a report is made of: tables, figures, equations, films, folded text, the overview, and sections of them."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -122,7 +120,7 @@ class Folded:
     """Blocks that are shown on demand, below a line that says what they are."""
 
     summary: str
-    blocks: tuple[Block, ...]
+    blocks: "tuple[Block, ...]"
 
 
 Block = str | Table | Picture | Formula | Film | Folded | Overview

@@ -1,7 +1,5 @@
 """Range scans as points of surfaces with normals."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -27,7 +25,7 @@ class Points(NamedTuple):
     xy: Array
     normal: Array
 
-    def seen_from(self, pose: Array) -> Points:
+    def seen_from(self, pose: Array) -> "Points":
         """The same in the frame in which theirs has a pose (3,)."""
         c, s = math.cos(pose[2]), math.sin(pose[2])
         return Points(transform_points(pose, self.xy), self.normal @ np.array([[c, s], [-s, c]]))

@@ -6,8 +6,6 @@ per metre and per second. Their mixture is replaced by the likelier mode (E. Ols
 of mixtures for robust robot mapping", IJRR 32, 2013, max-mixtures).
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -58,7 +56,7 @@ class Travel(NamedTuple):
     turn: float = 0.0
     seconds: float = 0.0
 
-    def plus(self, motion: Array, seconds: float) -> Travel:
+    def plus(self, motion: Array, seconds: float) -> "Travel":
         """With one more motion (3,)."""
         distance, turn = math.hypot(motion[0], motion[1]), abs(float(motion[2]))
         return Travel(self.distance + distance, self.turn + turn, self.seconds + seconds)

@@ -1,7 +1,5 @@
 """The loop of a drive: command, answer, estimates; signals are deferred to the time between two packets."""
 
-from __future__ import annotations
-
 import signal
 import threading
 import time
@@ -130,7 +128,7 @@ class Presses:
         """From now on both signals end the program at once."""
         self._heeded = True
 
-    def __enter__(self) -> Presses:
+    def __enter__(self) -> "Presses":
         if threading.current_thread() is threading.main_thread():
             self._before = {s: signal.signal(s, self._press) for s in (signal.SIGINT, signal.SIGTERM)}
         return self

@@ -7,8 +7,6 @@ dropped chunk reloads: each minute begins with the whole map.
 Chunks are those of the player (`eval.player.scene`). Landmarks are walls: x and y are rho [m] and alpha [rad].
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -210,7 +208,7 @@ class Server:
         self._thread = threading.Thread(target=self._http.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True)
         self._thread.start()
 
-    def __enter__(self) -> Server:
+    def __enter__(self) -> "Server":
         return self
 
     def __exit__(self, *_: object) -> None:
