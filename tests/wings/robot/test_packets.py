@@ -12,31 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wings.robot.packets import (
-    BEAMS,
-    MARKER,
-    MOST_BEAMS,
-    RADIUS,
-    SONARS,
-    WHEEL_BASE,
-    WHEEL_RADIUS,
-    Answer,
-    Beams,
-    Command,
-    Scan,
-    ScanParts,
-    checksum,
-    decode_answer,
-    decode_command,
-    encode_answer,
-    encode_command,
-    encode_scan,
-    framed,
-    next_frame,
-)
+from wings.robot import packets
 from wings.robot.traffic import Framed
 
-SIZES = {MARKER: 22}
+SIZES = {packets.MARKER: 22}
 
 
 def crc_by_bits(data):
@@ -50,53 +29,55 @@ def crc_by_bits(data):
 
 
 def test_a_command_is_four_bytes_with_the_low_one_first():
-    assert encode_command(Command(300, -1000)) == bytes([0x2C, 0x01, 0x18, 0xFC])
-    assert decode_command(bytes([0x2C, 0x01, 0x18, 0xFC])) == Command(300, -1000)
+    assert packets.encode_command(packets.Command(300, -1000)) == bytes([0x2C, 0x01, 0x18, 0xFC])
+    assert packets.decode_command(bytes([0x2C, 0x01, 0x18, 0xFC])) == packets.Command(300, -1000)
 
 
 def test_an_answer_is_eight_distances_and_a_pose_in_22_bytes():
-    answer = Answer((1, 2, 3, 4, 5, 6, 7, 4000), -1, 256, 3141)
-    data = encode_answer(answer)
+    answer = packets.Answer((1, 2, 3, 4, 5, 6, 7, 4000), -1, 256, 3141)
+    data = packets.encode_answer(answer)
     assert data == bytes([1, 0, 2, 0, 3, 0, 4, 0, 5, 0, 6, 0, 7, 0, 0xA0, 0x0F, 0xFF, 0xFF, 0, 1, 0x45, 0x0C])
-    assert decode_answer(data) == answer
+    assert packets.decode_answer(data) == answer
 
 
 def test_the_checksum_is_that_of_its_definition_and_of_the_published_check_value():
-    assert checksum(b"123456789") == (0x29B1).to_bytes(2, "little")
+    assert packets.checksum(b"123456789") == (0x29B1).to_bytes(2, "little")
     data = np.random.default_rng(0).bytes(22)
-    assert checksum(data) == crc_by_bits(data).to_bytes(2, "little")
+    assert packets.checksum(data) == crc_by_bits(data).to_bytes(2, "little")
 
 
 def test_a_frame_is_found_behind_bytes_that_are_none_and_behind_a_false_marker():
     content = bytes(range(22))
-    pending = bytearray(b"\x00\x01" + MARKER + b"\x07" + framed(content) + b"rest")
-    used, _, found = next_frame(pending, SIZES)
+    pending = bytearray(b"\x00\x01" + packets.MARKER + b"\x07" + packets.framed(content) + b"rest")
+    used, _, found = packets.next_frame(pending, SIZES)
     assert (used, found) == (2 + 2 + 1 + 26, content)
-    assert next_frame(pending[used:], SIZES) == (4, b"", None)
+    assert packets.next_frame(pending[used:], SIZES) == (4, b"", None)
 
 
 def test_a_frame_that_is_not_whole_is_waited_for_half_a_marker_included():
-    whole = framed(bytes(22))
+    whole = packets.framed(bytes(22))
     for part in range(1, 26):
-        assert next_frame(bytearray(b"x" + whole[:part]), SIZES) == (1, b"", None)
+        assert packets.next_frame(bytearray(b"x" + whole[:part]), SIZES) == (1, b"", None)
 
 
 CHANGES = [300, pytest.param(10_000, marks=pytest.mark.slow)]
 
 
 def scan_of(rng, beams=None, odometry=(0, 0, 0), stamp=None):
-    n = beams or int(rng.integers(1, 3 * BEAMS))
-    of = Beams(n, -3_141_593, 17_453_293 * 360 // max(n, 360), 8000)
+    n = beams or int(rng.integers(1, 3 * packets.BEAMS))
+    of = packets.Beams(n, -3_141_593, 17_453_293 * 360 // max(n, 360), 8000)
     time = int(rng.integers(1 << 32)) if stamp is None else stamp
-    return Scan(time, odometry, of, tuple(rng.integers(0, 8000, n).tolist()))
+    return packets.Scan(time, odometry, of, tuple(rng.integers(0, 8000, n).tolist()))
 
 
 def with_answer(scan):
-    return encode_scan(scan) + framed(encode_answer(Answer((1000,) * 8, *scan.odometry)))
+    return packets.encode_scan(scan) + packets.framed(
+        packets.encode_answer(packets.Answer((1000,) * 8, *scan.odometry))
+    )
 
 
 def test_a_packet_is_152_bytes_as_documented():
-    data = encode_scan(Scan(1, (-2, 3, 4), Beams(2, -5, 20_000_000, 7000), (258, 0)))
+    data = packets.encode_scan(packets.Scan(1, (-2, 3, 4), packets.Beams(2, -5, 20_000_000, 7000), (258, 0)))
     check = struct.pack("<I", binascii.crc32(b"\x02\x01\x00\x00"))
     head = b"\x01\0\0\0" + b"\xfe\xff\x03\0\x04\0" + b"\x02\0" + b"\0\0" + b"\xfb\xff\xff\xff" + b"\x00\x2d\x31\x01"
     content = head + b"\x58\x1b" + check + b"\x02\x01" + bytes(118)
@@ -104,7 +85,7 @@ def test_a_packet_is_152_bytes_as_documented():
     assert len(data) == 152
 
 
-@given(st.integers(0, 10**6), st.integers(1, MOST_BEAMS), st.integers(1, 400))
+@given(st.integers(0, 10**6), st.integers(1, packets.MOST_BEAMS), st.integers(1, 400))
 def test_a_scan_comes_back_as_it_was_sent_however_it_is_cut_into_pieces(seed, beams, piece):
     rng = np.random.default_rng(seed)
     odometry = tuple(rng.integers(-(1 << 15), 1 << 15, 3).tolist())
@@ -115,15 +96,16 @@ def test_a_scan_comes_back_as_it_was_sent_however_it_is_cut_into_pieces(seed, be
     assert not +stream.faults
 
 
-@pytest.mark.parametrize("beams", [
-    Beams(0, 0, 20_000_000, 8000), Beams(MOST_BEAMS + 1, 0, 100_000, 8000), Beams(4, 0, 0, 8000),
-    Beams(4, 6_300_000, 20_000_000, 8000), Beams(400, 0, 20_000_000, 8000), Beams(4, 0, 20_000_000, 0),
+@pytest.mark.parametrize("numbers", [
+    (0, 0, 20_000_000, 8000), (packets.MOST_BEAMS + 1, 0, 100_000, 8000), (4, 0, 0, 8000),
+    (4, 6_300_000, 20_000_000, 8000), (400, 0, 20_000_000, 8000), (4, 0, 20_000_000, 0),
 ])  # fmt: skip
-def test_beams_that_no_scanner_has_are_refused(beams):
+def test_beams_that_no_scanner_has_are_refused(numbers):
+    beams = packets.Beams(*numbers)
     assert not beams.possible
-    padded = Scan(0, (0, 0, 0), beams, (5,) * min(beams.number, BEAMS))
-    frames = encode_scan(padded) or encode_scan(padded._replace(beams=beams._replace(number=1)))
-    parts = ScanParts(Counter())
+    padded = packets.Scan(0, (0, 0, 0), beams, (5,) * min(beams.number, packets.BEAMS))
+    frames = packets.encode_scan(padded) or packets.encode_scan(padded._replace(beams=beams._replace(number=1)))
+    parts = packets.ScanParts(Counter())
     assert parts.add(frames[2:-2][:148]) is None or beams.number == 0
 
 
@@ -169,11 +151,13 @@ def test_a_scan_without_its_answer_or_with_a_piece_missing_is_counted_and_not_us
     rng = np.random.default_rng(1)
     first, other = (scan_of(rng, 130, (k, 0, 0)) for k in (0, 5))
     stream = Framed(scans=True)
-    torn = encode_scan(first)[: 2 * 152] + with_answer(first)[3 * 152 :]
+    torn = packets.encode_scan(first)[: 2 * 152] + with_answer(first)[3 * 152 :]
     (packet,) = stream.feed(0.0, torn)
     assert packet.scan is None
     assert stream.faults["torn"] == 1
-    (packet,) = stream.feed(0.25, encode_scan(other) + framed(encode_answer(Answer((1000,) * 8, 0, 0, 0))))
+    (packet,) = stream.feed(
+        0.25, packets.encode_scan(other) + packets.framed(packets.encode_answer(packets.Answer((1000,) * 8, 0, 0, 0)))
+    )
     assert packet.scan is None
     assert stream.faults["torn"] == 2
     fewer = scan_of(rng, 90)
@@ -184,13 +168,13 @@ def test_a_scan_without_its_answer_or_with_a_piece_missing_is_counted_and_not_us
 
 def test_the_drawing_of_the_frame_has_the_dimensions_of_the_protocol():
     drawing = (Path(__file__).parents[3] / "docs" / "robot" / "frame.svg").read_text()
-    assert f'id="rim" r="{1000 * RADIUS:g}"' in drawing
+    assert f'id="rim" r="{1000 * packets.RADIUS:g}"' in drawing
     turned = [-math.radians(float(a)) for a in re.findall(r'"#sonar" transform="rotate\((-?\d+)\)"', drawing)]
-    np.testing.assert_allclose(np.exp(1j * np.array(turned)), np.exp(1j * SONARS[:, 2]), atol=1e-12)
+    np.testing.assert_allclose(np.exp(1j * np.array(turned)), np.exp(1j * packets.SONARS[:, 2]), atol=1e-12)
     wheels = re.search(r'id="wheels".*?</g>', drawing, re.DOTALL)[0]
     found = re.findall(r'x="(-?[\d.]+)" y="(-?[\d.]+)" width="([\d.]+)" height="([\d.]+)"', wheels)
     for (x, y, width, height), side in zip(np.array(found, float), (-1.0, 1.0), strict=True):
-        assert (x + 0.5 * width, y + 0.5 * height) == (side * 500 * WHEEL_BASE, 0.0)
-        assert height == 2000 * WHEEL_RADIUS
-    for text in (1000 * WHEEL_BASE, 2000 * RADIUS, 2000 * WHEEL_RADIUS):
+        assert (x + 0.5 * width, y + 0.5 * height) == (side * 500 * packets.WHEEL_BASE, 0.0)
+        assert height == 2000 * packets.WHEEL_RADIUS
+    for text in (1000 * packets.WHEEL_BASE, 2000 * packets.RADIUS, 2000 * packets.WHEEL_RADIUS):
         assert f">{text:g}</text>" in drawing
