@@ -18,8 +18,7 @@ def cheapest(number: IntArray, cost: Array) -> IntArray:
     if cost.shape[1] == 0:
         return np.full(len(cost), NEW, np.int64)
     best = np.argmin(cost, axis=1)
-    finite = np.isfinite(cost[np.arange(len(cost)), best])
-    return np.where(finite, number[best], NEW)
+    return np.where(np.isfinite(cost[np.arange(len(cost)), best]), number[best], NEW)
 
 
 def _distances(expectation: Expectation, gate: float | None) -> tuple[Expectation, Array, float]:

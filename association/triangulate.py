@@ -44,8 +44,7 @@ def triangulate(sensors: Sequence[Sensor], pose: Array, covariance: Array, z: Ar
         return None
     each = EachSensor(tuple(sensors), np.arange(m))
     relative, P = _relative(pose, covariance)
-    starts = _starts(each, relative, z)
-    found = [p for start in starts if (p := _search(each, relative, P, z, R, start)) is not None]
+    found = [p for start in _starts(each, relative, z) if (p := _search(each, relative, P, z, R, start)) is not None]
     if not found:
         return None
     found.sort(key=lambda p: p.squared)

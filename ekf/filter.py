@@ -150,8 +150,7 @@ class Filter:
         clones = self._clones
         for frame in clones.over():
             place = clones.frames.index(frame)
-            at = self.size + 3 * place
-            pose_updates.replace_pose(self._mean, self._P, self._used, at, self._first)
+            pose_updates.replace_pose(self._mean, self._P, self._used, self.size + 3 * place, self._first)
             clones.frames[place] = clones.frames[-1]
             clones.frames.pop()
             self._carried -= 3

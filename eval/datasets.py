@@ -23,8 +23,7 @@ ALL = "Run every public data set that a folder has, and write one table, dataset
 @ending()
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
-    parser = Command(prog, PROG, ABOUT, f"example:\n  {PROG}")
-    parser.read(argv)
+    Command(prog, PROG, ABOUT, f"example:\n  {PROG}").read(argv)
     for entry in datasets():
         lines = [entry["title"], f"page: {entry['page']}", f"licence: {entry['licence']}"]
         lines += [f"sha256 of our copy: {entry['sha256']}"] if "sha256" in entry else []

@@ -81,8 +81,7 @@ def innovations(
     S = T @ S @ T.transpose(0, 2, 1)
     white = np.linalg.solve(np.linalg.cholesky(0.5 * (S + S.transpose(0, 2, 1))), T @ innovation)[:, :, 0]
     white[~checked] = np.nan
-    fixes = [i for i, p in enumerate(factors) if not p.closure]
-    return _of(factors, fixes, white), _of(factors, two, white)
+    return _of(factors, [i for i, p in enumerate(factors) if not p.closure], white), _of(factors, two, white)
 
 
 def left_by(A: Array, covariance: Array, pairs: IntArray, across: Array) -> Array:

@@ -46,8 +46,7 @@ def world(seed: int, noise: float = 1.0, speed: float = 0.8) -> Tables:
     half = 0.5 * w / RATE
     steps = np.stack([v / RATE * np.sinc(half / np.pi) * np.cos(half),
                       v / RATE * np.sinc(half / np.pi) * np.sin(half), w / RATE], 1)  # fmt: skip
-    start = np.array([1.0, -2.0, 0.7])
-    path = dead_reckoned(start, np.concatenate([np.zeros((1, 3)), steps[:-1]]))
+    path = dead_reckoned(np.array([1.0, -2.0, 0.7]), np.concatenate([np.zeros((1, 3)), steps[:-1]]))
     truth = np.column_stack([t, path[:, :2], wrap_angle(path[:, 2])])
     low, high = path[:, :2].min(axis=0) - 4.0, path[:, :2].max(axis=0) + 4.0
     places = rng.uniform(low, high, (25, 2))
@@ -64,8 +63,7 @@ def world(seed: int, noise: float = 1.0, speed: float = 0.8) -> Tables:
         for i in np.flatnonzero((distance < 8.0) & (distance > 0.4) & (rng.random(25) < 0.8)):
             r, z = distance[i] + rng.normal(0.0, c), wrap_angle(bearing[i] + rng.normal(0.0, d))
             seen.append((at, abs(r), z, i + 3))
-    known = np.column_stack([np.arange(25.0) + 3, places])
-    return Tables(odometry, np.array(seen), known, truth, sigmas)
+    return Tables(odometry, np.array(seen), np.column_stack([np.arange(25.0) + 3, places]), truth, sigmas)
 
 
 Change = Callable[[Tables], Tables]

@@ -99,8 +99,7 @@ def test_the_conda_recipe_needs_what_the_wheel_needs():
     theirs = {"matplotlib": "matplotlib-base", "opencv-python-headless": "py-opencv"}
     needed = [re.fullmatch("([a-z0-9-]+)(>=.*)", each).groups() for each in project["dependencies"]]
     recipe = (ROOT / "packaging/recipe.yaml").read_text()
-    run = recipe.partition("\n  run:\n")[2].partition("\n\n")[0]
-    python, *lines = re.findall("    - (.*)", run)
+    python, *lines = re.findall("    - (.*)", recipe.partition("\n  run:\n")[2].partition("\n\n")[0])
     assert sorted(lines) == sorted(f"{theirs.get(name, name)} {least}" for name, least in needed)
     assert python == "python >=${{ python_min }}"
     assert f'python_min: "{project["requires-python"].removeprefix(">=")}"' in recipe

@@ -176,14 +176,12 @@ def association_lines(_: bool) -> list[Timed]:
 
 def localization_log(frames: int) -> Inputs:
     """An arena log with three observations in every frame."""
-    log = simulate(Arena(frames=frames, landmarks=40, field_of_view=2 * math.pi), 0)
-    inputs = log.inputs(labels=True)
+    inputs = simulate(Arena(frames=frames, landmarks=40, field_of_view=2 * math.pi), 0).inputs(labels=True)
     o = inputs.observations
     assert isinstance(o, LabelledObservations)
     rank = np.arange(len(o.frame)) - inputs.start[o.frame]
     first = rank < 3
-    kept = LabelledObservations(o.frame[first], o.z[first], o.R[first], o.label[first])
-    return replace(inputs, observations=kept)
+    return replace(inputs, observations=LabelledObservations(o.frame[first], o.z[first], o.R[first], o.label[first]))
 
 
 def numpy_localizer(inputs: Inputs) -> Array:
@@ -269,8 +267,7 @@ def _park(quick: bool) -> Log:
 
 def victoria_park_lines(quick: bool) -> list[Timed]:
     """EKF-SLAM and iSAM2 over Victoria Park, against a bare gtsam loop with the same factors."""
-    log = _park(quick)
-    inputs = log.inputs(labels=True).without_map()
+    inputs = _park(quick).inputs(labels=True).without_map()
     decisions, created = known_decisions(inputs)
     n = len(inputs)
     slam = median_seconds(lambda: run_filter(inputs, decisions), 3)

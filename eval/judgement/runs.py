@@ -266,8 +266,7 @@ def _beside(run: RunJudgement, trust: Trust) -> RunJudgement:
     nis, lag1 = drawn("nis"), drawn("innovation_lag1")
     lower, upper = battery.bounds(nis)
     if math.isfinite(lower):
-        expected = float(np.median(nis))
-        run = replace(run, nis_lower=lower, nis_upper=upper, nis_expected=expected, twins=len(nis))
+        run = replace(run, nis_lower=lower, nis_upper=upper, nis_expected=float(np.median(nis)), twins=len(nis))
     if len(lag1) > 1 and math.isfinite(run.lag1):
         run = replace(run, lag1=run.lag1 - float(np.median(lag1)), lag1_se=max(run.lag1_se, float(lag1.std(ddof=1))))
     return run
@@ -285,8 +284,7 @@ def smoothers_in(runs: Sequence[RunJudgement]) -> tuple[str, ...]:
 
 def _others(runs: Sequence[RunJudgement], *, final: bool) -> list[str]:
     finals = {r.estimator for r in runs if r.phase == "final"}
-    names = dict.fromkeys(r.estimator for r in runs if r.foreign)
-    return [name for name in names if (name in finals) == final]
+    return [name for name in dict.fromkeys(r.estimator for r in runs if r.foreign) if (name in finals) == final]
 
 
 def pick(runs: Sequence[RunJudgement], names: Sequence[str], phase: str) -> RunJudgement | None:

@@ -50,8 +50,7 @@ def trusted(
     groups = [g for e, t in zip(experiments, trials, strict=True) for g in _groups(e, t, options.study)]
     jobs = [Job(i, statistics_of, (g,)) for i, g in enumerate(groups)]
     found = dict(work(jobs, options.execution, lost=lambda i, why: groups[i].lacks(lost, why)))
-    real = [(groups[i], *found[i]) for i in sorted(found)]
-    return _with_twins(real, _count(options.study), options, lost, progress)
+    return _with_twins([(groups[i], *found[i]) for i in sorted(found)], _count(options.study), options, lost, progress)
 
 
 def _count(study: Study) -> int:

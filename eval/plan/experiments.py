@@ -181,8 +181,7 @@ def reading_of(options: Options) -> Reading:
     relations = None if o.relations is None else Path(o.relations)
     cache = options.output.kept / ".detections"
     camera = (o.camera_translation, o.camera_reading, o.corner_noise, o.trust_pickle, cache)
-    stretches = tuple(stretch(text) for text in o.exclude_truth)
-    return Reading(*camera, relations, o.no_odometry, stretches, o.keep_truth)
+    return Reading(*camera, relations, o.no_odometry, tuple(stretch(text) for text in o.exclude_truth), o.keep_truth)
 
 
 def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:

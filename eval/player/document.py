@@ -80,5 +80,4 @@ def company_of(group: Sequence[Trial], trials: Sequence[Trial]) -> Any:
 
 def write_page(path: Path, trials: Sequence[Trial], setup: Setup, company: Any = None) -> None:
     """Write the player of trials on one log, with the other robots of `company_of`, to a file."""
-    page = document(trials[0].log.name, [scene(trials, setup, company)])
-    path.write_text(page, encoding="utf-8", newline="\n")
+    path.write_text(document(trials[0].log.name, [scene(trials, setup, company)]), encoding="utf-8", newline="\n")

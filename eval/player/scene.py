@@ -212,8 +212,7 @@ def scene(trials: Sequence[Trial], setup: Setup, company: Any = None) -> dict[st
             shown.append((key, trial, run))
             add_run(pack, key, run, trial, quantum)
             loops = [s for add in of_all("player") for s in add(pack, key, run, trial, quantum * FINER)]
-            line = styles[run.estimator, run.association]
-            runs.append(_head_of(pack, key, name, run, trial, log, line, loops))
+            runs.append(_head_of(pack, key, name, run, trial, log, styles[run.estimator, run.association], loops))
     watched = next((r.watched for t in trials for r in t.runs if isinstance(r.watched, Watched)), None)
     r, gates = log.recorded, (setup.gate, setup.new_gate)
     gate, new_gate = (None if p is None else gate_threshold(p) for p in gates)

@@ -185,8 +185,7 @@ def origin(run: Run, trial: Trial) -> Notice | None:
     else:
         off = abs(float(sensor.residual(o.z[i], sensor.predict(path[k], there)[0])[0]))
     place, landmark = i - int(inputs.start[k]), int(used.identity[used.number[i]])
-    began = bool(run.initialized[i] >= 0)
-    return notice(Code.ORIGIN, k, observation=place, landmark=landmark, began=began, off=off)
+    return notice(Code.ORIGIN, k, observation=place, landmark=landmark, began=bool(run.initialized[i] >= 0), off=off)
 
 
 def of_logs(logs: Iterable[Log]) -> Iterator[Notice]:

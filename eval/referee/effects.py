@@ -67,8 +67,7 @@ def _motion(inputs: Inputs, path: Array) -> dict[str, Array]:
     }  # fmt: skip
     body = -time[:, None, None] * se2.worlds_from_bodies(np.concatenate([[0.0], path[:-1, 2]]))[:, :2, :2]
     columns |= {"current_x": (*body[:, 0].T, zero), "current_y": (*body[:, 1].T, zero)}
-    found = {name: np.stack(parts, axis=1) for name, parts in columns.items()}
-    return found | {"latency": -rate_of(step, inputs.time)}
+    return {name: np.stack(parts, axis=1) for name, parts in columns.items()} | {"latency": -rate_of(step, inputs.time)}
 
 
 def _observations(inputs: Inputs, path: Array, used: Used) -> dict[str, Array]:

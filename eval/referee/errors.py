@@ -75,8 +75,7 @@ def aligned_rmse(pose: Array, truth: Array) -> float:
 def named(run: Run) -> IntArray:
     """Landmark (M,) that takes its true id from an observation: the one initialized finally, else the one online."""
     last = run.initialized
-    left = np.where(np.isin(run.created, last[last >= 0]), -1, run.created)
-    return np.where(last >= 0, last, left)
+    return np.where(last >= 0, last, np.where(np.isin(run.created, last[last >= 0]), -1, run.created))
 
 
 def observed(run: Run) -> IntArray:

@@ -317,8 +317,7 @@ def _displaced(e: Evidence) -> list[tuple[Finding, tuple[Effect, ...], int]]:
             column = np.zeros((len(o.frame), 2))
             column[own] = Hm[:, :, i]
             columns.append(Effect(f"landmark_{landmark}_{i}", observations=column))
-        name = str(e.used.identity[landmark])
-        found.append((Finding(NOISE, "displaced", name, math.nan), tuple(columns), len(sums)))
+        found.append((Finding(NOISE, "displaced", str(e.used.identity[landmark]), math.nan), tuple(columns), len(sums)))
     return found
 
 

@@ -98,8 +98,7 @@ class File:
 
 def _typed(values: Sequence[Any], kind: Kind) -> pd.Series:
     unknown = math.nan if kind == "number" else None
-    plain = [unknown if v != "" and is_blank(v) else v for v in values]
-    return pd.Series(plain, dtype=BLANKS[kind])
+    return pd.Series([unknown if v != "" and is_blank(v) else v for v in values], dtype=BLANKS[kind])
 
 
 LOG_FOLDER = "runs/<log>"

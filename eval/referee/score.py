@@ -212,8 +212,7 @@ def _innovation_columns(run: Run, phase: str, log: Log) -> dict[str, object]:
     """NIS with its bounds, and the lag-1 correlation of innovations."""
     row: dict[str, object] = {}
     if phase == "online" and run.innovations is not None:
-        frame = log.recorded.observations.frame
-        r, error = consistency.lag1_correlation(run.innovations.white, frame, run.decisions)
+        r, error = consistency.lag1_correlation(run.innovations.white, log.recorded.observations.frame, run.decisions)
         row = {"innovation_lag1": r, "innovation_lag1_se": error}
     total = nis_of(run, phase)
     if total is not None and total[1] > 0:

@@ -187,8 +187,7 @@ def _notices(s: SourceScore, *, unused: bool) -> Iterator[Notice]:
     rejected, beyond = s.formed - s.used, 0.0 if s.gate is None else 1.0 - s.gate
     asked = s.phase == "online" and s.gate is not None and rejected > 0
     if asked and float(special.bdtrc(rejected - 1, s.formed, beyond)) < SURE:
-        expected = s.formed * beyond
-        yield of(Code.SOURCE_REJECTED, rejected=rejected, gate=s.gate, count=s.formed, expected=expected)
+        yield of(Code.SOURCE_REJECTED, rejected=rejected, gate=s.gate, count=s.formed, expected=s.formed * beyond)
     if s.outlying:
         yield of(Code.SOURCE_OUTLIERS, outliers=s.outlying, count=s.used)
 
@@ -244,8 +243,7 @@ def of_sources(inputs: Inputs, path: Array, used: Used) -> list[OfSource]:
         entries = list(entries_of(source))
         nu, C = _residuals(inputs, source, path, rows)
         nu, C = nu[:, entries], C[:, entries][:, :, entries]
-        white = nu / np.sqrt(np.einsum("nii->ni", C))
-        found.append(OfSource(source, rows, white, squares(nu, C)))
+        found.append(OfSource(source, rows, nu / np.sqrt(np.einsum("nii->ni", C)), squares(nu, C)))
     return found
 
 
@@ -276,8 +274,7 @@ def summaries(inputs: Inputs, path: Array, used: Used) -> dict[str, float]:
     result: dict[str, float] = {}
     for of in of_sources(inputs, path, used):
         for entry, values in zip(entries_of(of.source), of.white.T, strict=True):
-            name = f"{key_of(of.source)}/{ENTRIES[entry]}"
-            result |= described(name, values, slice(None, -1), slice(1, None))
+            result |= described(f"{key_of(of.source)}/{ENTRIES[entry]}", values, slice(None, -1), slice(1, None))
     return result
 
 

@@ -41,8 +41,7 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run], eno
 
     if front.online is None or (front.failure is not None and not np.isfinite(front.online.pose).all()):
         at = front.failure.frame if front.failure else 0
-        why = notice(Code.FRONT_END_STOPPED, front=front.estimator, at=at)
-        return failed(Failure("incomplete", 0, why), 0.0)
+        return failed(Failure("incomplete", 0, notice(Code.FRONT_END_STOPPED, front=front.estimator, at=at)), 0.0)
     initialized = front.initialized  # retracted landmarks are left out; those that a filter merely forgot are smoothed
     start = start_at(inputs, front, initialized)
     final = front.final_decisions

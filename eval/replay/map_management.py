@@ -102,8 +102,7 @@ class MapManagement:
         """Landmarks that leave by a rule of the user's. Raises ForeignError for one that is not in the map."""
         there = np.flatnonzero(~self._of["removed"])
         own = self._of[there]
-        given = Landmarks(there, own["first"], own["times"], own["last"])
-        found = np.asarray(call(name, rule, self._frame, given))
+        found = np.asarray(call(name, rule, self._frame, Landmarks(there, own["first"], own["times"], own["last"])))
         leave: IntArray = whole(name, found, found.size, "what it returned")
         if len(strange := np.setdiff1d(leave, there)):
             raise ForeignError(f"{name}: landmark {strange[0]} is not in the map")

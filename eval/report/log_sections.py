@@ -55,8 +55,7 @@ def answer(j: Judgement, trust: str = "") -> str:
 def gate_sentence(setup: Setup, *, sensed: bool) -> str:
     """The gate of observations paired by label; `sensed`: a sensor read the labels of this log."""
     gate, by_default = setup.settled(sensed).label_gate, setup.gate_known == "auto"
-    smoothers = setup.gate_smoothers
-    return paragraph("settings#gate", gate=gate, by_default=by_default, smoothers=smoothers, sensed=sensed)
+    return paragraph("settings#gate", gate=gate, by_default=by_default, smoothers=setup.gate_smoothers, sensed=sensed)
 
 
 IN_FULL = "The comparison in words"

@@ -201,8 +201,7 @@ def _write_map(place: Path, trial: Trial, run: Run) -> None:
     ids = m.number if known else landmark_true_ids(named(run), identified(trial.log), m.number)
     near, until = ambiguous(run, trial.log.recorded), np.full(len(m), -1, np.int64)
     for n in [] if run.left is None else run.left.tolist():  # of those that left the map: their last observation
-        frames = trial.log.recorded.observations.frame[run.final_decisions == n]
-        until[m.number == n] = frames.max(initial=-1)
+        until[m.number == n] = trial.log.recorded.observations.frame[run.final_decisions == n].max(initial=-1)
     table = pd.DataFrame({
         "landmark": m.number, "x": m.xy[:, 0], "y": m.xy[:, 1], "c_xx": m.covariance[:, 0, 0],
         "c_xy": m.covariance[:, 0, 1], "c_yy": m.covariance[:, 1, 1],

@@ -56,8 +56,7 @@ def report_html(folder: Path, report: blocks.Report, details: Mapping[str, str],
     used: Counter[str] = Counter()
     first, rest = _chapters(report.first, used), _chapters(sections, used)
     contents = [headed for chapter in (*first, *rest) for headed in chapter if headed[0].level == 2]
-    page = _templates(html=True).get_template("page.html.j2")
-    text = page.render(
+    text = _templates(html=True).get_template("page.html.j2").render(
         report=report, up=up, details=details, first=first, rest=rest, reading=blocks.READING, numbers=blocks.Numbers(),
         skip=any(isinstance(b, blocks.Overview) for b in report.introduction), style=template_text("page.css"),
         contents=contents if len(contents) >= LISTED else [],

@@ -76,8 +76,7 @@ def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Seq
         sections.append(Section("Consistency over many simulated runs", texts))
     plain = [s for s in outcome.studies if not s.scenario.part]
     for study, pictures in zip(plain, _draw(plots, options, plain), strict=True):
-        own = [j for j in judged if j.scenario == study.scenario.name]
-        sections += _study(study, own, pictures, table)
+        sections += _study(study, [j for j in judged if j.scenario == study.scenario.name], pictures, table)
     rates = [s for s in outcome.studies if s.scenario.part]  # each one rate of an outlier study
     for source in dict.fromkeys(s.scenario.source for s in rates):
         sections.append(_outliers(plots, [s for s in rates if s.scenario.source == source], table))

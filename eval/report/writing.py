@@ -178,8 +178,7 @@ def _write_provenance(folder: Path, options: Options, outcome: Outcome, command:
     used += [*(m.name for s in studied for m in s.members), *(a for s in studied for a in s.association)]
     logs = {t.log.name: t.log for t in outcome.trials}.values()
     kept = {log: own for found in of_all("settings") for log, own in found(options, outcome.trials).items()}
-    text = provenance(options, logs, command, used, results, kept)
-    (folder / "provenance.json").write_text(text, encoding="utf-8")
+    (folder / "provenance.json").write_text(provenance(options, logs, command, used, results, kept), encoding="utf-8")
 
 
 def as_json(facts: object) -> Any:

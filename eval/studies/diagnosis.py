@@ -611,6 +611,5 @@ def trust_table(all_trust: Sequence[Trust]) -> pd.DataFrame:
                 "se": m.se,
                 "frame": m.frame if m.frame >= 0 else None,
             }
-            tested = {"expected": r.expected, "twins": r.twins, "p": r.p, "p_family": r.p_family}
-            rows.append(who | statistic | tested)
+            rows.append(who | statistic | {"expected": r.expected, "twins": r.twins, "p": r.p, "p_family": r.p_family})
     return TRUST.table(rows)

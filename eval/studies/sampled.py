@@ -75,16 +75,14 @@ def sample_of(log: Log, task: str, association: str, runs: Sequence[Run], smooth
             continue
         own = None if smoother is None else same_decisions(run, [*runs, smoother], inputs)
         own = own if own is not None and own.flaw is None else None
-        found = truth_free.of_online(run, own, inputs)
-        measured |= {(run.estimator, name): m for name, m in found.items()}
+        measured |= {(run.estimator, name): m for name, m in truth_free.of_online(run, own, inputs).items()}
         if own is not None and own.final is not None and run.online is not None:
             apart[run.estimator] = errors.rms(errors.position_distance(run.online.pose, own.final.pose))
     if smoother is not None and smoother.flaw is not None:
         failures[smoother.estimator] = smoother.flaw.why if smoother.implausible is None else smoother.implausible.text
     if smoother is None or smoother.flaw is not None:
         return Sample(measured, failures, apart=apart)
-    smoothed = truth_free.of_smoother(smoother, inputs)
-    measured |= {(smoother.estimator, name): m for name, m in smoothed.items()}
+    measured |= {(smoother.estimator, name): m for name, m in truth_free.of_smoother(smoother, inputs).items()}
     return Sample(measured, failures, apart=apart)
 
 

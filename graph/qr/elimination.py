@@ -333,8 +333,7 @@ def ordering(variable: IntArray, poses: int, size: int, drift: IntArray = NO_DRI
     """
     if poses + len(drift) == size:
         return np.argsort(np.concatenate([np.arange(poses), drift - 0.5]), kind="stable")[::-1].astype(np.int64)
-    blocks = np.unique(np.sort(variable, axis=1), axis=0).tolist()
-    return colamd([v for v in block if v >= 0] for block in blocks)
+    return colamd([v for v in block if v >= 0] for block in np.unique(np.sort(variable, axis=1), axis=0).tolist())
 
 
 def colamd(blocks: Iterable[Sequence[int]], last: Sequence[int] = ()) -> IntArray:

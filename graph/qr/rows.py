@@ -154,8 +154,7 @@ class Linearizer:
     def _state(self, values: gtsam.Values) -> tuple[Array, Array]:
         """Poses (N, 3), in the order of gtsam's keys, and errors (N, p); cached."""
         if self._last is None or self._last[0] is not values:
-            pose = np.ascontiguousarray(gtsam.utilities.extractPose2(values))
-            self._last = values, pose, self._motion.errors(values)
+            self._last = values, np.ascontiguousarray(gtsam.utilities.extractPose2(values)), self._motion.errors(values)
         return self._last[1:]
 
     def _robot(self, values: gtsam.Values) -> gtsam.Pose2:

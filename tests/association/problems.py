@@ -33,8 +33,7 @@ def problem(seed, m, n, *, ambiguity=1.0, clutter=0.2, correlation=1.0, sigma=0.
 def joint_distances(e, hypotheses):
     """Squared joint distance of hypotheses (h, k, 2) of (observation, candidate) pairs, by the inverse."""
     h, k, _ = hypotheses.shape
-    n = len(e.number)
-    full = e.joint(np.arange(n))
+    full = e.joint(np.arange(len(e.number)))
     obs, cand = hypotheses[..., 0], hypotheses[..., 1]
     nu = e.residual(e.z[obs], e.z_hat[cand]).reshape(h, 2 * k)
     rows = (2 * cand[..., None] + np.arange(2)).reshape(h, 2 * k)

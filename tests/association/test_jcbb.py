@@ -96,8 +96,7 @@ def test_what_cannot_grow_is_held_to_its_own_gate():
 
 def test_identical_landmarks_go_oldest_first_whatever_the_order_of_the_map():
     z, z_hat = np.array([[0.1, 0.0], [5.1, 0.0]]), np.array([[0.0, 0.0], [0.0, 0.0], [5.0, 0.0], [5.0, 0.0]])
-    twins = np.kron(np.eye(2), np.ones((2, 2)))
-    joint = np.kron(0.01 * np.ones((4, 4)) + 0.02 * twins, np.eye(2))
+    joint = np.kron(0.01 * np.ones((4, 4)) + 0.02 * np.kron(np.eye(2), np.ones((2, 2))), np.eye(2))
     e = Expectation.from_arrays(z, z_hat, joint, np.tile(0.01 * np.eye(2), (2, 1, 1)))
     for order in ([0, 1, 2, 3], [3, 2, 1, 0], [1, 3, 0, 2]):
         assert jcbb(shuffled(e, order), GATE).tolist() == [0, 2]
@@ -110,8 +109,7 @@ def test_a_window_of_frames_pairs_a_landmark_once_in_each_of_them():
         number=np.array([7, 7]), frame=np.array([4, 3]), observed_frame=np.array([3, 4]),
     )  # fmt: skip
     assert jcbb(e, GATE).tolist() == [7, 7]
-    swapped = replace(e, observed_frame=np.array([4, 3]))
-    assert jcbb(swapped, GATE).tolist() == [NEW, NEW]
+    assert jcbb(replace(e, observed_frame=np.array([4, 3])), GATE).tolist() == [NEW, NEW]
 
 
 def hard():

@@ -60,8 +60,7 @@ def test_nn_takes_a_distance_that_equals_the_gate_and_the_others_do_not(monkeypa
 @settings(max_examples=examples(40), deadline=None)
 @given(small)
 def test_ml_is_the_largest_gaussian_density_among_the_compatible(e):
-    decisions = ml(e, GATE)
-    for i, decision in enumerate(decisions):
+    for i, decision in enumerate(ml(e, GATE)):
         density = []
         for j in range(len(e.number)):
             S, nu = e.HPHt[j] + e.R[i], e.z[i] - e.z_hat[j]
@@ -168,8 +167,7 @@ def test_the_order_of_the_map_changes_no_decision(e, random, gate):
 def test_landmarks_of_another_frame_are_no_candidates(method):
     e = replace(on_a_line([0.0, 0.0], [0.0]), frame=np.array([3]), observed_frame=np.array([3, 4]))
     for gate in (0.99, None):
-        decisions = decide(method, e, gate, 0.99999).decisions
-        assert decisions.tolist() == [0, NEW]
+        assert decide(method, e, gate, 0.99999).decisions.tolist() == [0, NEW]
 
 
 @pytest.mark.parametrize("method", METHODS)

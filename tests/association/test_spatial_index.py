@@ -61,8 +61,7 @@ def test_a_localizer_expects_what_may_be_near_a_reading_and_decides_the_same(sen
         e = f.expect(observations)
         a, b = (decide("jcbb", each, 0.99, None, known_map=True).decisions for each in (e, every))
         np.testing.assert_array_equal(a, b)
-        may = every.number[(every.individual_distances() <= f.within).any(axis=0)]
-        assert np.isin(may, e.number).all()
+        assert np.isin(every.number[(every.individual_distances() <= f.within).any(axis=0)], e.number).all()
         seen, offered = seen + len(inside), offered + len(e.number)
     assert seen > 100
     assert offered < 0.1 * 30 * 2000

@@ -39,8 +39,7 @@ def test_an_error_that_all_poses_share_does_not_matter() -> None:
     turned = np.zeros((15, 3))  # a common motion: also the lever of a common turn
     for i, (x, y, _) in enumerate(SQUARE):
         turned[3 * i : 3 * i + 3] = [[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]]
-    common = turned @ turned.T + 1e-10 * np.eye(15)
-    assert triangulate(sensors, pose, common, z, R) is not None
+    assert triangulate(sensors, pose, turned @ turned.T + 1e-10 * np.eye(15), z, R) is not None
 
 
 @pytest.mark.parametrize("kind", ["bearing", "range"])
@@ -48,8 +47,7 @@ def test_two_observations_or_no_parallax_determine_nothing(kind: str) -> None:
     xy = np.array([5.0, 0.5])
     sensors, pose, P, z, R = _with([kind] * 5, SQUARE, xy)
     assert triangulate(sensors[:2], pose[:2], P[:6, :6], z[:2], R[:2]) is None
-    still = np.repeat(SQUARE[:1], 5, axis=0)
-    assert triangulate(*_with([kind] * 5, still, xy)) is None
+    assert triangulate(*_with([kind] * 5, np.repeat(SQUARE[:1], 5, axis=0), xy)) is None
 
 
 def test_ranges_along_a_line_leave_two_sides() -> None:

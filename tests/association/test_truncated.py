@@ -31,8 +31,7 @@ def _problem(rng: np.random.Generator, k: int, common: float) -> tuple[Expectati
     S = P + np.eye(2 * k)
     z_hat = np.column_stack([1000.0 * np.arange(k), np.zeros(k)])
     nu = np.linalg.cholesky(S) @ rng.standard_normal(2 * k)
-    R = np.tile(np.eye(2), (k, 1, 1))
-    return Expectation.from_arrays(z_hat + nu.reshape(k, 2), z_hat, P, R), S
+    return Expectation.from_arrays(z_hat + nu.reshape(k, 2), z_hat, P, np.tile(np.eye(2), (k, 1, 1))), S
 
 
 @pytest.mark.parametrize("method", ["nn", "jcbb", CONDITIONAL])

@@ -140,8 +140,7 @@ def test_a_click_on_an_observation_shows_its_candidates_and_what_each_method_say
             "[...document.querySelectorAll('#candidates tbody tr')].map((r) => [+r.dataset.number, +r.dataset.d2,"
             " r.cells[1].textContent, r.cells[2].textContent])"
         )
-        nearest = sorted((d2, n) for (k, n), d2 in oracle.d2.items() if k == i)
-        assert shown[0][0] == nearest[0][1]
+        assert shown[0][0] == sorted((d2, n) for (k, n), d2 in oracle.d2.items() if k == i)[0][1]
         for number, d2, text, gate in shown:
             assert d2 == pytest.approx(oracle.d2[i, number], rel=2e-4)
             assert float(text) == pytest.approx(oracle.d2[i, number], rel=1e-3)

@@ -48,8 +48,7 @@ with tempfile.TemporaryDirectory() as folder:
 
 def executed(work: str) -> set[str]:
     """The files of this program that a process with this work loads."""
-    code = OURS.format(work=work, root=str(ROOT))
-    done = python("-c", code)
+    done = python("-c", OURS.format(work=work, root=str(ROOT)))
     assert done.returncode == 0, done.stderr
     return set(json.loads(done.stdout.splitlines()[-1]))
 

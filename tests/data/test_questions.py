@@ -115,8 +115,7 @@ def test_a_prior_from_which_nothing_of_the_map_is_seen(arena):
 
 
 def test_a_max_range_below_what_is_seen(arena):
-    sensor = replace(arena.recorded.sensor, max_range=4.0)
-    found = asked(recorded(arena, sensor=sensor))[Code.MAX_RANGE]
+    found = asked(recorded(arena, sensor=replace(arena.recorded.sensor, max_range=4.0)))[Code.MAX_RANGE]
     z = arena.recorded.observations.z
     assert (found["past"], found["readings"], found["stated"]) == ((z[:, 0] > 4.4).sum(), len(z), 4.0)
 

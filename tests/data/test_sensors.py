@@ -78,8 +78,7 @@ def test_the_innovation_of_a_wall_does_not_depend_on_which_side_it_is_named_from
 def test_bearings_wrap_at_the_seam(heading):
     sensor = RangeBearing()
     behind = np.array([[-3 * math.cos(heading), -3 * math.sin(heading)]])
-    z = sensor.predict(np.array([0, 0, heading]), behind)
-    assert abs(abs(z[0, 1]) - math.pi) < 1e-6
+    assert abs(abs(sensor.predict(np.array([0, 0, heading]), behind)[0, 1]) - math.pi) < 1e-6
     assert abs(sensor.residual(np.array([[3.0, math.pi]]), np.array([[3.0, -math.pi]]))[0, 1]) < 1e-12
     assert RelativePoint().residual(np.array([[3.0, 4.0]]), np.array([[3.0, -4.0]]))[0, 1] == 8.0
 

@@ -271,8 +271,7 @@ def test_a_row_marked_unknown_hides_its_neighbourhood_and_nothing_else():
     time = np.arange(0.0, 2.01, 0.5)
     pose = np.column_stack([time, np.zeros(5), np.full(5, 3.0)])
     pose[2, 0] = np.nan
-    at = np.array([0.0, 0.4, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75])
-    found = truth_at(time, pose, at)
+    found = truth_at(time, pose, np.array([0.0, 0.4, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75]))
     assert np.isnan(found[:, 0]).tolist() == [False, False, False, True, True, True, False, False]
     assert found[[0, 1, 2, 6, 7], 2] == pytest.approx(3.0)
 
@@ -280,8 +279,7 @@ def test_a_row_marked_unknown_hides_its_neighbourhood_and_nothing_else():
 def test_a_filter_that_creeps_while_the_robot_rests_has_not_leapt_away():
     """Seen: a path that stood still most of the time had no usual step, so each of 8 mm was a leap."""
     rng = np.random.default_rng(4)
-    moving = np.arange(3000) % 300 < 60
-    truth = np.column_stack([0.002 * np.cumsum(moving), np.zeros((3000, 2))])
+    truth = np.column_stack([0.002 * np.cumsum(np.arange(3000) % 300 < 60), np.zeros((3000, 2))])
     other = truth.copy()
     other[:, :2] += np.cumsum(0.001 * rng.laplace(size=(3000, 2)) * (rng.random((3000, 1)) < 0.3), axis=0)
     assert leaps(other, truth) == []

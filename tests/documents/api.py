@@ -128,8 +128,7 @@ def entry(name: str) -> Iterator[str]:
 
 
 def page() -> str:
-    intro = Path(__file__).with_name("api.md").read_text(encoding="utf-8").rstrip()
-    parts = [intro]
+    parts = [Path(__file__).with_name("api.md").read_text(encoding="utf-8").rstrip()]
     for title, names in GROUPS.items():
         parts += [f"## {title}", *(part for name in names.split() for part in entry(name))]
     return "\n\n".join(parts) + "\n"

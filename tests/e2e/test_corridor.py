@@ -48,8 +48,7 @@ def test_the_command_makes_every_recorded_decision_and_pose_again(replayed, shar
     expected = column(clean, "tp", "tn", "fp", "fn").sum(0).astype(int).tolist()
     counted = [r for r in rows(replayed / "association.csv") if (r["log"], r["association"]) == (name, method)]
     assert [[int(r[k]) for k in ("tp", "tn", "fp", "fn")] for r in counted] == [expected, expected]  # online and final
-    made = rows(ours / "landmarks.csv")
-    assert len(made) == len(rows(reference / "map.csv"))
+    assert len(rows(ours / "landmarks.csv")) == len(rows(reference / "map.csv"))
 
 
 def test_least_joint_distance_and_labels_do_on_the_recorded_runs_what_independent_checks_found(replayed):
@@ -102,8 +101,7 @@ def test_with_labels_errors_are_inside_three_sigma_as_often_as_they_should_be(st
         for log, runs in study:
             t = runs[estimator, "known"].online
             error = consistency.se2.pose_error(t.pose, log.truth.pose)[1:, coordinate]
-            sigma = np.sqrt(t.covariance[1:, coordinate, coordinate])
-            shares.append(np.mean(np.abs(error) <= 3.0 * sigma))
+            shares.append(np.mean(np.abs(error) <= 3.0 * np.sqrt(t.covariance[1:, coordinate, coordinate])))
         mean, standard_error = np.mean(shares), np.std(shares, ddof=1) / math.sqrt(len(shares))
         assert mean > 0.9973 - 3.5 * max(standard_error, 1e-3)
         assert mean > 0.985

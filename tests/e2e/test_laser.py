@@ -99,8 +99,7 @@ def drive(log, task, name, association):
 
 @pytest.mark.slow
 def test_walls_are_found_and_the_robot_back_at_the_start_knows_where_it_is():
-    log = open_log("walls:0:frames=660")
-    end, _, wrong = drive(log, "slam", "ekf-fej", "jcbb")
+    end, _, wrong = drive(open_log("walls:0:frames=660"), "slam", "ekf-fej", "jcbb")
     assert end < 0.1
     assert wrong == 0
 

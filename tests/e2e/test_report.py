@@ -80,8 +80,7 @@ def test_every_file_and_column_is_described(made, request):
         if file.columns:
             header = tuple(path.read_text(encoding="utf-8").partition("\n")[0].split(","))
             assert header == tuple(n for n in file.names if n in header or n not in file.optional)
-    always = {f.path for f in (*TOP[:4], *OF_RUNS, TIMING) if not f.path.endswith("lab.txt")}
-    assert always <= found
+    assert {f.path for f in (*TOP[:4], *OF_RUNS, TIMING) if not f.path.endswith("lab.txt")} <= found
 
 
 def test_every_estimator_and_phase_has_its_row_with_numbers(numbers):
@@ -120,8 +119,7 @@ def test_the_report_shows_pictures_and_needs_no_network(report):
     assert html.count("data:image/webp;base64,") + html.count("data:image/png;base64,") == len(drawn)
     assert "http://" not in html
     assert "https://" not in html
-    text = (report / "report.md").read_text()
-    assert "not enough runs" in text
+    assert "not enough runs" in (report / "report.md").read_text()
     for name in ("my_log-slam-map.png", "my_log-slam-error.png"):
         assert (report / "figures" / name).stat().st_size > 5000
     assert r"\toprule" in (report / "tables" / "my_log-slam-comparison.tex").read_text()

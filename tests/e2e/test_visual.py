@@ -33,8 +33,7 @@ def test_a_lab_folder_is_localized_and_mapped(report):
     assert set(table["task"]) == {"localization", "slam"}
     assert set(table["status"]) == {"ok"}
     assert table["rmse_position_m"].isna().all()  # the lab's format holds no truth
-    slam = table[(table["task"] == "slam") & (table["estimator"] == "ekf")]
-    assert (slam["landmarks"] % 4 == 0).all()
+    assert (table[(table["task"] == "slam") & (table["estimator"] == "ekf")]["landmarks"] % 4 == 0).all()
 
 
 @pytest.mark.slow
@@ -42,12 +41,9 @@ def test_the_report_holds_models_plan_contact_sheet_and_statistics(report):
     figures = {f.name for f in (report / "figures").iterdir()}
     assert "my_lab-detections.png" in figures
     assert "my_lab-localization-plan.png" in figures
-    text = (report / "tables" / "my_lab-models.tex").read_text()
-    assert "\\begin{bmatrix}" in text
-    table = pd.read_csv(report / "tables" / "my_lab-detections.csv")
-    assert table["detections"].sum() > 0
-    page = (report / "report.html").read_text()
-    assert "http" not in page.split("<body", 1)[1].replace("http-equiv", "")
+    assert "\\begin{bmatrix}" in (report / "tables" / "my_lab-models.tex").read_text()
+    assert pd.read_csv(report / "tables" / "my_lab-detections.csv")["detections"].sum() > 0
+    assert "http" not in (report / "report.html").read_text().split("<body", 1)[1].replace("http-equiv", "")
 
 
 @pytest.mark.slow
@@ -61,8 +57,7 @@ def test_a_second_run_looks_at_no_image(lab, report, monkeypatch):
     assert main(["--log", str(lab), "--estimator", "ekf", "--out", str(out), "-q", "--no-plots", "--jobs", "1"]) == 0
     a, b = (pd.read_csv(p / "metrics.csv") for p in (report, out))
     first = a[(a["estimator"] == "ekf") & (a["task"] == "localization") & (a["log"] == "my_lab")]
-    second = b[(b["estimator"] == "ekf") & (b["log"] == "my_lab")]
-    assert first["nis"].tolist() == second["nis"].tolist()
+    assert first["nis"].tolist() == b[(b["estimator"] == "ekf") & (b["log"] == "my_lab")]["nis"].tolist()
 
 
 def test_an_open_log_is_made_of_it(lab, tmp_path, capsys):

@@ -36,8 +36,7 @@ def fixes_of(rows, sources):
     for i, (_, kind, _, value, covariance) in enumerate(rows):
         z[i, ENTRIES[kind]] = value
         C[i][np.ix_(ENTRIES[kind], ENTRIES[kind])] = covariance
-    columns = [np.array([row[c] for row in rows], np.int64) for c in range(3)]
-    return Fixes(*columns, z, C, sources)
+    return Fixes(*[np.array([row[c] for row in rows], np.int64) for c in range(3)], z, C, sources)
 
 
 def closures_of(rows):
@@ -76,8 +75,7 @@ class Dense:
             H = np.zeros((3, len(x)))
             H[:, :3] = np.eye(3)
             H[:2, 2] = J @ rotation(x[2]) @ lever
-            z_hat = np.array([*(x[:2] + rotation(x[2]) @ lever), x[2] + source.rotation])
-            return z_hat[entries], H[entries]
+            return np.array([*(x[:2] + rotation(x[2]) @ lever), x[2] + source.rotation])[entries], H[entries]
 
         self.update(measure, z, R, kind != FixKind.POSITION)
 
@@ -102,8 +100,7 @@ class Dense:
 
         point, H = self.x, measure(self.first if self.variant == "fej" else self.x)[1]
         for _ in range(30 if self.variant == "iterated" else 1):
-            S = H @ self.P @ H.T + R
-            K = self.P @ H.T @ np.linalg.inv(S)
+            K = self.P @ H.T @ np.linalg.inv(H @ self.P @ H.T + R)
             shift = K @ (innovation(point) - H @ (self.x - point))
             last = H
             point = self.x + shift

@@ -28,8 +28,7 @@ SMALL = Arena(landmarks=8, side=14.0, frames=25)
 @pytest.mark.parametrize("task", ["localization", "slam"])
 @pytest.mark.parametrize("threshold", [np.inf, 5.0])
 def test_whole_run_agrees_with_the_textbook_and_bit_for_bit_with_the_steps(sensor, task, threshold):
-    log = simulate(Arena(**{**vars(SMALL), "sensor": sensor}), 3)
-    inputs = log.inputs(labels=True)
+    inputs = simulate(Arena(**{**vars(SMALL), "sensor": sensor}), 3).inputs(labels=True)
     if task == "slam":
         inputs = inputs.without_map()
     decisions, _ = known_decisions(inputs)
@@ -131,8 +130,7 @@ def test_singular_innovation_covariance_is_a_divergence_not_a_nan():
 
 
 def test_failure_in_the_whole_run_blanks_the_rest_and_names_the_frame():
-    log = simulate(SMALL, 0)
-    inputs = log.inputs(labels=True)
+    inputs = simulate(SMALL, 0).inputs(labels=True)
     o = inputs.observations
     R = o.R.copy()
     bad = np.flatnonzero(o.frame == 7)
@@ -186,8 +184,7 @@ def test_a_singular_covariance_has_a_regular_root():
 
 @pytest.mark.parametrize("d", [3, 63, 64, 101, 801])
 def test_the_update_of_a_covariance_has_the_same_bytes_whichever_way_it_goes(d):
-    rng = np.random.default_rng(d)
-    W = 0.01 * rng.normal(size=(d, 6))
+    W = 0.01 * np.random.default_rng(d).normal(size=(d, 6))
     P = np.eye(d)
     subtract(P, d, W)
     expected = np.zeros((d, d))

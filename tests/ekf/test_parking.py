@@ -277,8 +277,7 @@ def test_no_parked_landmark_inside_the_gate_is_missed(seed, sensor, within, drif
         near = f.parked_within(observations, within)
         if len(parked):
             e = full.expect(observations)
-            d2 = e.individual_distances()[:, np.isin(e.number, parked)].min(axis=0)
-            must = parked[d2 <= within]
+            must = parked[e.individual_distances()[:, np.isin(e.number, parked)].min(axis=0) <= within]
             assert np.isin(must, near).all(), f"missed {np.setdiff1d(must, near)}"
             inside, asked, found_in_all = inside + len(must), asked + len(parked), found_in_all + len(near)
         decisions = np.array([number.get(p, NEW) for p in seen.tolist()])
@@ -314,8 +313,7 @@ def test_joining_is_conditioning_on_their_difference_being_zero():
     mean, P = f.mean, f.covariance
     H = np.zeros((4, len(mean)))
     H[:, 11:15], H[:, 3:7] = np.eye(4), -np.eye(4)
-    information = np.linalg.inv(P) + H.T @ H / JOINED**2
-    posterior = np.linalg.inv(information)
+    posterior = np.linalg.inv(np.linalg.inv(P) + H.T @ H / JOINED**2)
     expected = posterior @ np.linalg.solve(P, mean)
     f.merge(np.array([4, 5]), np.array([0, 1]))
     np.testing.assert_allclose(f.mean, expected[:11], atol=1e-6)

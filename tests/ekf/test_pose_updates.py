@@ -43,8 +43,7 @@ def through(filter_, motions, fixes=None, closures=None, gate=None, last_use=Non
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_a_filter_that_keeps_the_poses_it_needs_is_one_that_keeps_all(variant):
-    rng = np.random.default_rng(8)
-    motions, fixes, closures, sources = wandering(rng, 16, PRIOR)
+    motions, fixes, closures, sources = wandering(np.random.default_rng(8), 16, PRIOR)
     ours, dense = EkfLocalizer(PRIOR, SENSOR, NOWHERE, VARIANTS[variant]), Dense(PRIOR, variant)
     ordered, found = sorted(closures, key=lambda row: max(row[:2])), closures_of(closures)
     done = through(ours, motions, fixes_of(fixes, sources), found)
@@ -130,8 +129,7 @@ def test_in_the_frame_of_an_erring_sensor_a_fix_is_that_of_the_pose_in_the_world
     if variant != "fej":  # which takes the Jacobian elsewhere
         np.testing.assert_allclose(filter_.estimate().mean, before.mean, atol=1e-9)
         np.testing.assert_allclose(filter_.estimate().covariance, P - P @ np.linalg.solve(P + R, P), atol=1e-9)
-    done = filter_.close_loops(closures.of(2), None)
-    assert done.used.all()
+    assert filter_.close_loops(closures.of(2), None).used.all()
     assert np.isfinite(filter_.estimate().covariance).all()
     filter_.update(seen, np.array([0]))
     filter_.predict(Increment(np.array([1.0, 0.0, 0.2]), 0.01 * np.eye(3)))
@@ -153,8 +151,7 @@ def test_beside_walls_a_fix_is_that_of_the_pose_in_the_world():
     filter_ = EkfSlam(PRIOR, Line(max_range=20.0))
     filter_.update(FrameObservations(np.array([[2.0, 0.3]]), 0.01 * np.eye(2)[None]), np.array([NEW]))
     before, R = filter_.estimate(), np.diag([0.04, 0.02, 0.01])
-    fixes = fixes_of([(0, FixKind.POSE, 0, before.mean, R)], (FixSource("mocap"),))
-    through(filter_, [None], fixes)
+    through(filter_, [None], fixes_of([(0, FixKind.POSE, 0, before.mean, R)], (FixSource("mocap"),)))
     P = before.covariance
     np.testing.assert_allclose(filter_.estimate().mean, before.mean, atol=1e-12)
     np.testing.assert_allclose(filter_.estimate().covariance, P - P @ np.linalg.solve(P + R, P), atol=1e-12)

@@ -119,8 +119,7 @@ def test_a_localizer_leaves_out_no_landmark_that_some_reading_may_be_of():
     for within in (9.0, 30.0):
         f.within = within
         e = f.expect(seen)
-        may = every.number[(every.individual_distances() < within).any(axis=0)]
-        assert np.isin(may, e.number).all()
+        assert np.isin(every.number[(every.individual_distances() < within).any(axis=0)], e.number).all()
         assert len(e.number) < len(every.number)
 
 
@@ -128,8 +127,7 @@ def test_another_pose_may_be_linearized_at_where_a_sensor_errs():
     f, seen, near = localizer()
     mean = f.estimate().mean
     e = f.expect(seen)
-    again = e.elsewhere(mean)
-    np.testing.assert_allclose(again.z_hat, e.z_hat, atol=1e-9)
+    np.testing.assert_allclose(e.elsewhere(mean).z_hat, e.z_hat, atol=1e-9)
     twin, _, _ = localizer()
     f.update(seen, near)
     twin.update(seen, near, at=mean)

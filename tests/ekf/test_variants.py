@@ -86,8 +86,7 @@ def test_pose_and_landmarks_move_by_the_exponential_and_the_covariance_goes_alon
     P = root @ root.T
     index = [np.array([0, 1]), *(np.array([base, base + 1]) + 2 * i for i in range(n))]
     points = np.array([mean[i] for i in index])
-    rho = np.array([shift[i] - angle * J @ mean[i] for i in index])
-    expected = group((angle, rho), points)
+    expected = group((angle, np.array([shift[i] - angle * J @ mean[i] for i in index])), points)
     N = np.eye(d)
     for i, before, after in zip(index, points, expected, strict=True):
         N[i, 2] += J @ (after - before)
@@ -140,8 +139,7 @@ R = np.tile(np.diag([0.01, 0.001]), (3, 1, 1))
 
 
 def observations():
-    z = RangeBearing().predict(np.array([-0.2, 0.3, 0.1]), LANDMARKS.xy)
-    return FrameObservations(z, R)
+    return FrameObservations(RangeBearing().predict(np.array([-0.2, 0.3, 0.1]), LANDMARKS.xy), R)
 
 
 def test_the_update_ends_at_the_least_cost_and_its_covariance_is_the_inverse_information_there():

@@ -207,8 +207,7 @@ def test_a_recording_that_is_no_log_is_answered_with_its_conversion(said, tmp_pa
 def test_a_result_folder_is_no_log_and_names_its_logs(command, said, tmp_path):
     (tmp_path / "r").mkdir()
     (tmp_path / "r/provenance.json").write_text(json.dumps({"inputs": {"arena:0": {}, "my_log": {}}}))
-    text = said(f"{command} r")
-    assert "a result folder; type slamref report r, or name one of its logs" in text
+    assert "a result folder; type slamref report r, or name one of its logs" in said(f"{command} r")
 
 
 def test_python_names_the_nearest_too():

@@ -222,12 +222,10 @@ def test_a_heading_that_no_file_holds_is_absent_and_the_position_scored(scored, 
 def test_positions_alone_in_space_are_aligned_in_space(scored):
     """A scaled estimate whose world is upside down beside a truth of positions with heights."""
     place = np.column_stack([PATH, np.sin(TIME)])
-    unturned = np.tile([0.0, 0, 0, 1], (N, 1))
-    truth = rows_of(np.column_stack([TIME, place + [1e5, 2e5, -30.0], unturned]))
+    truth = rows_of(np.column_stack([TIME, place + [1e5, 2e5, -30.0], np.tile([0.0, 0, 0, 1], (N, 1))]))
     turned = Rotation.from_euler("yz", [1.2, 0.4]).apply(place) / 3.6
     rolled = Rotation.from_rotvec(TIME[:, None] / 9.0 * [1.0, 0.0, 0.0]).as_quat()
-    estimate = rows_of(np.column_stack([TIME, turned, rolled]))
-    values, _, said = scored(estimate, truth, "--align", "sim3")
+    values, _, said = scored(rows_of(np.column_stack([TIME, turned, rolled])), truth, "--align", "sim3")
     assert said.count("no heading in this file: positions alone are scored") == 1
     assert max(values["rmse_position_m"], values["rmse_position_3d_m"]) < 1e-5
     assert values["scale_sim3"] == pytest.approx(3.6)

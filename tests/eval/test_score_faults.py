@@ -33,8 +33,7 @@ def scored(tmp_path, capsys, refused):
         assert score(given) == 0
         out, err = capsys.readouterr()
         values = {k: float(v) for k, v in re.findall(r"^(\w+) (-?[\d.e+-]+|nan)$", out, re.M)}
-        asked = [line for line in err.splitlines() if line.startswith("note: question: ")]
-        return values, asked, out + err
+        return values, [line for line in err.splitlines() if line.startswith("note: question: ")], out + err
 
     return run
 
@@ -382,8 +381,7 @@ def square(rows, C):
 
 
 def test_one_triangle_of_a_covariance_is_mirrored_and_said(scored):
-    rng = np.random.default_rng(0)
-    root = rng.normal(size=(6, 6)) * 0.1
+    root = np.random.default_rng(0).normal(size=(6, 6)) * 0.1
     C = root @ root.T
     rows, truth = drawn()
     right, _, _ = scored(square(rows, C), lines(truth))

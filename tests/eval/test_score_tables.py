@@ -157,8 +157,7 @@ def test_sources_of_rows_are_told_apart_by_a_word(scored, tmp_path):
     ]
     text = "\n".join(["time,source,x [mm],y [mm]", *rows])
     assert "rows hold odom (60), gt (60): name those of one kind, as in" in scored(text, text, wrong=True)
-    files = [f"{tmp_path}/0.csv:{who}" for who in ("odom", "gt")]
-    assert score([*files, "--columns", "x=3,y=y [mm]"]) == 0
+    assert score([*[f"{tmp_path}/0.csv:{who}" for who in ("odom", "gt")], "--columns", "x=3,y=y [mm]"]) == 0
 
 
 def test_names_that_repeat_are_of_the_blank_column_before_them(scored):

@@ -37,8 +37,7 @@ def ran(tmp_path_factory):
         patch.chdir(folder)
         assert slamref.main(["run", "log", "--estimator", "ekf", "--no-plots", "--out", "out"]) == 0
         row = pd.read_csv("out/metrics.csv").iloc[0]
-    said = (folder / "out" / "run.log").read_text()
-    return SimpleNamespace(folder=folder, said=said, row=row)
+    return SimpleNamespace(folder=folder, said=(folder / "out" / "run.log").read_text(), row=row)
 
 
 @pytest.fixture(autouse=True)
@@ -92,8 +91,7 @@ def test_play_shows_no_truth_and_no_nees_there(ran, capsys):
     assert slamref.main(["play", "log", "--estimator", "ekf", "--association", "known", "--out", "page.html"]) == 0
     assert NOTICE in capsys.readouterr().out
     page = chunk_of(Path("page.html").read_text(encoding="utf-8"))
-    arrays = unpacked(page)
-    nees = arrays[f"{page['runs'][0]['key']}online_nees"][:, 0]
+    nees = unpacked(page)[f"{page['runs'][0]['key']}online_nees"][:, 0]
     assert np.isnan(nees[FIRST : LAST + 1]).all()
     assert np.nanmean(nees) == pytest.approx(ran.row.nees_pose, rel=2e-2)
 

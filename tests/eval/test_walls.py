@@ -139,8 +139,7 @@ def test_a_chord_is_what_a_rectangle_holds_of_a_straight_line():
         np.testing.assert_allclose(chord @ [np.cos(alpha), np.sin(alpha)], rho, atol=1e-12)
         assert np.all(chord >= [-1.0 - 1e-9, -2.0 - 1e-9])
         assert np.all(chord <= [3.0 + 1e-9, 4.0 + 1e-9])
-        on_edge = np.isclose(chord, [-1.0, -2.0]) | np.isclose(chord, [3.0, 4.0])
-        assert on_edge.any(axis=1).all()
+        assert (np.isclose(chord, [-1.0, -2.0]) | np.isclose(chord, [3.0, 4.0])).any(axis=1).all()
     np.testing.assert_allclose(np.sort(ends[0][:, 1]), [-2.0, 4.0])
 
 
@@ -151,8 +150,7 @@ def test_the_map_shows_walls_as_lines_across_it_and_no_ellipses_of_them(log, run
     assert -2.0 < y0 < 0.0 < 6.0 < y1 < 8.0
     drawn = [line.get_xydata() for line in ax.lines if len(line.get_xdata()) == 2]
     for rho, alpha in walls()[1]:
-        off = [np.abs(d @ [np.cos(alpha), np.sin(alpha)] - rho).max() for d in drawn]
-        assert min(off) < 1e-9
+        assert min([np.abs(d @ [np.cos(alpha), np.sin(alpha)] - rho).max() for d in drawn]) < 1e-9
     assert len(drawn) == len(walls()[1]) + len(run.map)
     ellipses = [c for c in ax.collections if isinstance(c, PolyCollection)]
     assert len(ellipses) == 2, "those along the path, filled and outlined"

@@ -119,8 +119,7 @@ def deep(content: bytes, rng: Rng) -> bytes:
 def keyed(content: bytes, rng: Rng) -> bytes:
     """TOML: a value of another kind, a key twice, missing, or unknown."""
     lines = content.split(b"\n")
-    where = [i for i, line in enumerate(lines) if b"=" in line]
-    i = pick(rng, where or [0])
+    i = pick(rng, [i for i, line in enumerate(lines) if b"=" in line] or [0])
     key, _, _ = lines[i].partition(b"=")
     values = [
         b"1", b"-1", b"1e400", b"nan", b"-inf", b'""', b'"x"', b"true", b"[]", b"[1]", b"{}", b"{a = 1}", b"[[1]]",
@@ -272,8 +271,7 @@ def _within(element: bytes, rng: Rng) -> bytes:
     """One aligned word of an element is another number: a type, a size, a dimension, a flag."""
     if len(element) < 16:
         return flipped(element, rng)
-    near = min(len(element), 400)
-    at = 4 * int(rng.integers(near // 4 - 1))
+    at = 4 * int(rng.integers(min(len(element), 400) // 4 - 1))
     value = int(
         pick(rng, [0, 1, 2, 3, 5, 6, 9, 14, 15, 16, 255, 10**9, 2**31 - 1, 2**32 - 1, int(rng.integers(2**32))])
     )

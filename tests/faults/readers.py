@@ -110,8 +110,7 @@ def named(folder: Path, said: str) -> None:
 
 
 def datasets() -> list[Files]:
-    folder = encoded(world.texts())
-    return [folder, made(lambda path: world.save_zip(path / "set.zip", world.texts()))]
+    return [encoded(world.texts()), made(lambda path: world.save_zip(path / "set.zip", world.texts()))]
 
 
 def read_dataset(folder: Path) -> Any:
@@ -245,8 +244,7 @@ SEVERAL = {
 
 
 def read_tables(folder: Path) -> Any:
-    words = argparse.Namespace(kind="table", source=folder / "robot.toml", out=folder / "out")
-    return convert(words).log
+    return convert(argparse.Namespace(kind="table", source=folder / "robot.toml", out=folder / "out")).log
 
 
 def read_config(folder: Path) -> Any:

@@ -64,8 +64,7 @@ def inside(folder: Path) -> Path:
 
 
 def read(folder: Path) -> Log:
-    path = inside(folder)
-    return laser_log(path, "/scan", "/odom")
+    return laser_log(inside(folder), "/scan", "/odom")
 
 
 def read_full(folder: Path) -> Log:

@@ -22,8 +22,7 @@ def pairwise(factors: Mapping[str, Sequence[str]], rng: np.random.Generator) -> 
     while left:
         best: tuple[int, dict[str, str]] = (-1, {})
         for _ in range(TRIED):
-            first = sorted(left)[int(rng.integers(len(left)))]
-            row = dict(first)
+            row = dict(sorted(left)[int(rng.integers(len(left)))])
             for name in rng.permutation([n for n in names if n not in row]).tolist():
                 levels = rng.permutation(factors[name]).tolist()
                 row[name] = max(levels, key=lambda level: _gained(row, name, level, names, left))

@@ -19,8 +19,7 @@ def small(form):
 
 
 def test_a_record_or_file_longer_than_it_is_takes_little_memory(tmp_path):
-    path = small("mcap").save(tmp_path)
-    (file,) = path.glob("*.mcap")
+    (file,) = small("mcap").save(tmp_path).glob("*.mcap")
     content = file.read_bytes()
     file.write_bytes(content[:9] + (1 << 40).to_bytes(8, "little") + content[17:])
     most, said = peak(laser_log, file)

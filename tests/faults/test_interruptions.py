@@ -102,8 +102,7 @@ def test_a_study_that_is_killed_at_any_instant_goes_on_and_ends_as_if_it_had_not
     out, other = tmp_path / "a" / "study", tmp_path / "b" / "study"
     words = ["--scenario", scenario, "--runs", "300", "--no-plots", "--jobs", "1", "-q", "--out"]
     lasts = duration([*words, other])
-    rng = np.random.default_rng(1)
-    for instant in rng.uniform(0.0, lasts / 10.0, INSTANTS):
+    for instant in np.random.default_rng(1).uniform(0.0, lasts / 10.0, INSTANTS):
         killed([*words, out], instant)
     assert done(*words, out)[0] == 0
     assert contents(out) == contents(other)

@@ -133,8 +133,7 @@ class Dense:
         t = xi[2]
         a, b = (1.0, 0.0) if abs(t) < 1e-12 else (math.sin(t) / t, (1.0 - math.cos(t)) / t)
         xi = np.array([a * xi[0] - b * xi[1], b * xi[0] + a * xi[1], t])
-        first = se2.compose(self.inputs.prior.mean, xi)
-        poses = np.vstack([first, x[at + 3 : at + 3 * n].reshape(-1, 3)])
+        poses = np.vstack([se2.compose(self.inputs.prior.mean, xi), x[at + 3 : at + 3 * n].reshape(-1, 3)])
         if self.inputs.map is not None:
             return poses, self.inputs.map.xy
         return poses, x[at + 3 * n :].reshape(-1, 2)

@@ -60,8 +60,7 @@ def compare(inputs, decisions, created, start):
 def test_all_errors_at_once_have_the_optimum_and_the_covariances_of_dense_least_squares(task, kind):
     """A sensor that is mounted off the robot's centre; a drift of several knots."""
     world = erring(kind(max_range=8.0, **OFF_CENTRE), task, errors_of(ERRORS), frames=12, landmarks=3)[:4]
-    found = compare(*world)
-    assert len(np.unique(found.systematic.mean[:, list(ERRORS).index("drift")])) > 3
+    assert len(np.unique(compare(*world).systematic.mean[:, list(ERRORS).index("drift")])) > 3
 
 
 @pytest.mark.slow
@@ -90,8 +89,7 @@ def test_with_the_true_errors_a_log_without_noise_is_met_exactly_by_the_truth(ta
     problem = build(inputs, decisions, created)
     xy = inputs.map.xy if task == "localization" else start.landmark
     values, n = problem.values(Start(start.pose, xy, errors)), len(inputs)
-    rows = Linearizer(problem)(values)
-    assert np.abs(rows.b[: n + len(problem.observations), :, 0]).max() < 1e-6
+    assert np.abs(Linearizer(problem)(values).b[: n + len(problem.observations), :, 0]).max() < 1e-6
     back = problem.start_of(values, np.zeros_like(xy))
     for there, here in ((back.pose, start.pose), (back.landmark, xy * (task == "slam")), (back.errors, errors)):
         np.testing.assert_allclose(there, here, atol=1e-9)

@@ -57,8 +57,7 @@ def test_the_cost_of_a_small_innovation_is_its_mahalanobis_distance(sensor, fact
 def test_the_information_is_that_of_our_jacobians(sensor, factors):
     z, Hx, Hl = (a[0] for a in sensor.linearize(POSE, LANDMARK[None]))
     H = np.hstack([Hl, Hx @ se2.world_from_body(POSE[2])])  # gtsam: landmarks first, poses in their tangent space
-    seen = graph_of(factors(sensor, z)).linearize(values())
-    information = seen.hessian()[0]
+    information = graph_of(factors(sensor, z)).linearize(values()).hessian()[0]
     if len(information) == 3:  # a factor of the pose alone
         H = H[:, 2:]
     expected = H.T @ np.linalg.solve(R, H)

@@ -226,8 +226,7 @@ def test_where_one_pose_has_a_line_the_others_begin_where_edges_put_them(tmp_pat
     assert log.recorded.prior.mean == pytest.approx([3.0, 4.0, 0.0])
     assert log.recorded.increments.mean[1:] == pytest.approx(np.array([[1.0, 0.0, 0.5 * np.pi]] * 3), abs=1e-12)
     assert log.notes[0].startswith("One pose has a line")
-    file = read_graph_file(path)
-    assert file.poses[10][1][:2] == pytest.approx([3.0, 5.0])
+    assert read_graph_file(path).poses[10][1][:2] == pytest.approx([3.0, 5.0])
     path.write_text(f"VERTEX_SE2 7 3 4 0\nVERTEX_SE2 8 4 4 1.5\n{edges}")
     with pytest.raises(DataError, match="vertex 9 is missing"):
         read_graph_file(path)
@@ -340,8 +339,7 @@ def test_a_relation_of_sensors_with_offsets_has_g2os_error(written):
     first, second = np.array([0.3, -0.1, 0.4]), np.array([-0.2, 0.5, -1.1])
     i, j = np.array([1.0, 2.0, 0.7]), np.array([2.1, 2.4, 1.0])
     information = np.array([[90.0, 3.0, 1.0], [3.0, 80.0, 2.0], [1.0, 2.0, 400.0]])
-    seen = compose(compose(inverse(first), compose(inverse(i), j)), second)
-    z = seen + [1e-4, -2e-4, 3e-4]
+    z = compose(compose(inverse(first), compose(inverse(i), j)), second) + [1e-4, -2e-4, 3e-4]
     lines = [f"PARAMS_SE2OFFSET {k} {' '.join(map(repr, o.tolist()))}" for k, o in ((4, first), (5, second))]
     lines += [f"VERTEX_SE2 {k} {' '.join(map(repr, p.tolist()))}" for k, p in ((0, i), (1, j))]
     lines.insert(0, f"EDGE_SE2_OFFSET 0 1 4 5 {' '.join(map(repr, z.tolist()))} 90 3 1 80 2 400")

@@ -86,8 +86,7 @@ def test_a_linear_world_gives_the_filters_innovations_and_estimate(make):
     path, P = dense(inputs, truth)
     np.testing.assert_allclose(poses[-1], path[-1], atol=1e-12)
     np.testing.assert_allclose(covariances[-1], P[-3:, -3:], atol=1e-9)
-    end = smoother.finish()
-    np.testing.assert_allclose(end.final.pose[-1], path[-1], atol=1e-12)
+    np.testing.assert_allclose(smoother.finish().final.pose[-1], path[-1], atol=1e-12)
     results = iter(done)
     seen_fixes = seen_closures = 0
     for k in range(len(inputs)):
@@ -117,8 +116,7 @@ def test_a_linear_world_gives_the_filters_innovations_and_estimate(make):
                     H[:, 3 * a : 3 * a + 3], H[:, 3 * b : 3 * b + 3] = J1, J2
                     seen_closures += 1
                 white = np.linalg.solve(np.linalg.cholesky(R + H @ P @ H.T), error)
-                got = result.white[i][np.isfinite(result.white[i])]
-                np.testing.assert_allclose(got, white, atol=1e-12)
+                np.testing.assert_allclose(result.white[i][np.isfinite(result.white[i])], white, atol=1e-12)
                 assert result.nis[i] == pytest.approx(white @ white, rel=1e-5)
     assert (seen_fixes, seen_closures) == (4, 4)
 

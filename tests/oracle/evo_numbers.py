@@ -30,8 +30,7 @@ def paths():
     wobble = np.column_stack(
         [0.02 * np.sin(0.7 * ALONG), 0.03 * np.cos(1.3 * ALONG), 0.01 * np.sin(0.31 * ALONG) + 2e-4 * ALONG]
     )
-    drift = np.column_stack([0.002 * ALONG, -0.001 * ALONG, 0.0 * ALONG])
-    estimate = truth + wobble + drift
+    estimate = truth + wobble + np.column_stack([0.002 * ALONG, -0.001 * ALONG, 0.0 * ALONG])
     return truth, se2.compose(np.array([0.3, -0.2, 0.05]), estimate)
 
 

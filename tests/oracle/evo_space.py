@@ -31,8 +31,7 @@ def files(folder):
         ("estimate", estimate, TIME, ALONG),
         ("sparse", estimate, TIME + 0.03, some),
     ):
-        table = np.column_stack([time, p, R.as_quat()])[rows]
-        np.savetxt(folder / f"{name}.tum", table, fmt="%.17g")
+        np.savetxt(folder / f"{name}.tum", np.column_stack([time, p, R.as_quat()])[rows], fmt="%.17g")
 
 
 SAID = said("space")

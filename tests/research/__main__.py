@@ -119,8 +119,7 @@ def _variety(out: Path, half: str | None, count: int, *, exact: bool) -> None:
     for row in measure_all(chosen, read(Row, file), world=partial(world_of, exact=exact)):
         append(row, file)
         print(line_of(row), flush=True)
-    rows = [r for r in read(Row, file) if r.number in set(chosen)]
-    print("\n".join(table(rows)), flush=True)
+    print("\n".join(table([r for r in read(Row, file) if r.number in set(chosen)])), flush=True)
 
 
 def _hiding(out: Path, half: str, count: int) -> None:

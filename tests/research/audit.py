@@ -219,8 +219,7 @@ def spoilt(s: Structure, case: Case, rng: np.random.Generator) -> Spoilt:
         at = {landmark: xy for _, landmark, xy in s.seen}
         for m in sorted(rng.choice(len(s.seen), case.count, replace=False).tolist()):
             pose, landmark, xy = s.seen[m]
-            others = [j for j in at if j != landmark]
-            other = min(others, key=lambda j: float(np.linalg.norm(at[j] - xy)))
+            other = min([j for j in at if j != landmark], key=lambda j: float(np.linalg.norm(at[j] - xy)))
             false.append(len(s.pairs) + m)
             graph.replace(false[-1], s.observation(pose, landmark, at[other], rng.normal(0, SEEN)))
     return Spoilt(graph, path, false)

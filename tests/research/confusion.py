@@ -51,8 +51,7 @@ def _lasting(rng: np.random.Generator, z: Array) -> Array:
     _, _, used = exact()
     made = z.copy()
     for landmark in np.unique(used.number):
-        rows = np.flatnonzero(used.number == landmark)
-        for before, now in pairwise(rows):
+        for before, now in pairwise(np.flatnonzero(used.number == landmark)):
             made[now] = 0.8 * made[before] + 0.6 * z[now]
     return made
 

@@ -95,8 +95,7 @@ def measure(here: bool) -> list[tuple[str, str]]:
         rows.append(("first run: report", f"{first.cpu:.1f} s, {first.wall:.1f} s wall"))
         warm = run([*command, "warm"], work, environment)
         rows.append(("all kernels compiled (`slamref warm`)", f"{warm.cpu:.1f} s"))
-        costs = sorted(run(asked, work, environment) for _ in range(3))
-        again = costs[1]
+        again = sorted(run(asked, work, environment) for _ in range(3))[1]
         rows.append(("warm: table", f"{again.table_cpu:.1f} s, {again.table_wall:.1f} s wall"))
         rows.append(("warm: report", f"{again.cpu:.1f} s, {again.wall:.1f} s wall"))
         rows.append(("first run / warm run, to the end", f"{first.cpu / again.cpu:.2f}"))

@@ -13,8 +13,7 @@ from tests.research.tutorials import STEPS, GainFromBefore, recorded, run, runni
 
 
 def test_the_gain_is_formed_with_the_covariance_from_before_the_prediction():
-    rng = np.random.default_rng(3)
-    A = rng.normal(size=(3, 3))
+    A = np.random.default_rng(3).normal(size=(3, 3))
     P0, mean = 0.1 * A @ A.T, np.array([0.3, -0.2, 0.7])
     known = LandmarkMap(np.array([6]), np.array([[4.0, 1.0]]))
     f = GainFromBefore(Prior(mean, P0), RangeBearing(), known)

@@ -137,8 +137,7 @@ def log_of(
     inputs = inputs_of(setup, found.time, np.stack([found.v, found.omega], 1), observations, sensor)
     true_id = None
     if in_view is not None:
-        shown = pictures.true_pictures(found, in_view)
-        picture = np.repeat(shown, pictures.CORNERS)
+        picture = np.repeat(pictures.true_pictures(found, in_view), pictures.CORNERS)
         true_id = np.where(picture < 0, CLUTTER, pictures.CORNERS * picture + corner)[usable]
     return Log(
         name, inputs, Truth(pose, inputs.map, true_id), label=label[usable], labels_are_sensed=True,

@@ -93,8 +93,7 @@ class TeamFilter:
         s = self.team.encounters
         first = np.searchsorted(s.instant, np.arange(len(self.team.time) + 1))
         for k in range(len(self.team.time)):
-            frames = self.team.frame[:, k].tolist()
-            here = [(row, f) for row, f in enumerate(frames) if f >= 0]
+            here = [(row, f) for row, f in enumerate(self.team.frame[:, k].tolist()) if f >= 0]
             for row, f in here:
                 if f:
                     self.move(row, f)

@@ -125,8 +125,7 @@ def company(group: Sequence[Trial], trials: Sequence[Trial]) -> "Company | None"
         return None
     own = [(g, t) for t in trials if isinstance(g := t.log.recorded, TeamInputs) and g.team is given.team]
     truth = {g.robot: t.log.truth.pose for g, t in own}
-    runs = {(g.robot, *_key(t, r)): r for g, t in own for r in t.runs}
-    return Company(given.team, given.robot, truth, runs)
+    return Company(given.team, given.robot, truth, {(g.robot, *_key(t, r)): r for g, t in own for r in t.runs})
 
 
 @dataclass(frozen=True)

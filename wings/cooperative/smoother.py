@@ -90,8 +90,7 @@ def smooth_team(
         values.insert(L(name), xy)
     for key, at in own:
         values.insert(key, at)
-    labels = np.array(sorted(places), np.int64)
-    return _optimum(team, _Linear(every, count, labels), values, first)
+    return _optimum(team, _Linear(every, count, np.array(sorted(places), np.int64)), values, first)
 
 
 def _encounters(team: Team, row: int, seen: IntArray, number: IntArray, first: IntArray) -> list[factors.Factor]:

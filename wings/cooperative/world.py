@@ -72,8 +72,7 @@ def simulate_all(world: Team, seed: int, name: str | None = None) -> list[Log]:
         members.append(Inputs(prior, time, increments, Observations(frame, z, R), sensor, known, floored=floored))
         labels.append(label)
         seen.append(_encounters(world, k, paths, rngs[4 * k + 3]))
-    number = range(1, world.robots + 1)
-    team = team_of(number, members, labels, [0.0] * world.robots, seen)
+    team = team_of(range(1, world.robots + 1), members, labels, [0.0] * world.robots, seen)
     logs = []
     for k, member in enumerate(members):
         values = {f.name: getattr(member, f.name) for f in fields(Inputs) if f.init}

@@ -120,16 +120,14 @@ def limit(seconds: float, memory_mb: float) -> None:
     sizes = Path("/proc/self/statm")
     used = int(sizes.read_text().split()[0]) * resource.getpagesize() if sizes.exists() else 0
     spent = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
-    limits = {"AS": used + memory_mb * 1e6, "CPU": spent + seconds + 1.0, "FSIZE": FILES, "CORE": 0}
-    for kind, most in limits.items():
+    for kind, most in {"AS": used + memory_mb * 1e6, "CPU": spent + seconds + 1.0, "FSIZE": FILES, "CORE": 0}.items():
         with suppress(ValueError, OSError):  # a lower limit holds already
             resource.setrlimit(getattr(resource, f"RLIMIT_{kind}"), (int(most), int(most)))
 
 
 def main(place: Path) -> None:
     """The child: questions are prepared first, the submission is loaded under the limits."""
-    given = json.loads((place / REQUEST).read_text(encoding="utf-8"))
-    assignment, names, file, seeds, data, seconds, memory_mb = given
+    assignment, names, file, seeds, data, seconds, memory_mb = json.loads((place / REQUEST).read_text(encoding="utf-8"))
     with (place / ANSWERS).open("w", encoding="utf-8", buffering=1) as out, one_thread():
         parts = [p for p in import_module(MODULES[assignment]).PARTS if p.name in names]
         try:

@@ -141,8 +141,7 @@ class FixedLagPoseGraph(PoseGraph):
         stay = bisect_left(self._time, now - self.lag)
         keys = range(self._oldest, stay)
         pose = np.array([self._window.pose(X(k)) for k in keys])
-        covariance = in_world(pose, np.array([self._body_covariance(k) for k in keys]))
-        self._left += list(zip(pose, covariance, strict=True))
+        self._left += list(zip(pose, in_world(pose, np.array([self._body_covariance(k) for k in keys])), strict=True))
         self._window.marginalize([X(k) for k in keys], [X(self.keys - 1)])
         self._oldest = stay
 

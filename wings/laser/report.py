@@ -101,8 +101,7 @@ def loop_picture(
         label = f"{what}: {np.count_nonzero(some)}"
         handles.append(Line2D([], [], color=colour, linestyle=line, linewidth=wide + 0.3, label=label))
     low, high = keys[:, :2].min(axis=0) - AROUND, keys[:, :2].max(axis=0) + AROUND
-    title = f"{name}: pose graph of {style.label}, {len(loops)} loop closures looked at"
-    _on_paper(fig, ax, low, high, title, handles)
+    _on_paper(fig, ax, low, high, f"{name}: pose graph of {style.label}, {len(loops)} loop closures looked at", handles)
     return fig
 
 
@@ -317,8 +316,7 @@ def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
     rows = dict[str, dict[str, object]]()
     for e in relation_rows(run, log):
         row = rows.setdefault(e["phase"], {name: e[name] for name in ("estimator", "association", "phase")})
-        spread = f"{e['trans_mean_m']:.4f} ± {e['trans_std_m']:.4f}"
-        row[f"{e['subset']} by {e['tie']} ({e['relations']}) [m]"] = spread
+        row[f"{e['subset']} by {e['tie']} ({e['relations']}) [m]"] = f"{e['trans_mean_m']:.4f} ± {e['trans_std_m']:.4f}"
         if (e["tie"], e["subset"]) == (ROW, ALL):
             row["heading [°]"] = f"{e['rot_mean_deg']:.3f} ± {e['rot_std_deg']:.3f}"
             row["largest [m]"] = number(e["trans_max_m"])

@@ -223,8 +223,7 @@ class Unwrapper:
             self._counted = present
         self._before = answer
         mm = np.array(answer.distances, float)
-        ranges = np.where(mm < protocol.TIMEOUT_MM, mm / 1000.0, np.inf)
-        return Packet(t, ranges, self._pose(), joined, answer, scan)
+        return Packet(t, np.where(mm < protocol.TIMEOUT_MM, mm / 1000.0, np.inf), self._pose(), joined, answer, scan)
 
     def _pose(self) -> Array:
         counted = self._counted / 1000.0

@@ -138,8 +138,7 @@ def figure_style_of(drawing: Drawing, output: Output) -> tuple[FigureStyle, str]
     paper = drawing != Drawing() or bool(output.figures or output.show)
     pdf = output.write_up or "pdf" in output.formats or paper
     titles = not drawing.no_titles
-    style = FigureStyle(width, fonts, mathematics, drawing.font_size, drawing.usetex, pgf, pdf, titles, paper)
-    return style, message
+    return FigureStyle(width, fonts, mathematics, drawing.font_size, drawing.usetex, pgf, pdf, titles, paper), message
 
 
 def _system() -> str | None:

@@ -181,8 +181,7 @@ def in_one_line(fault: BaseException) -> str:
 
 def at_line(fault: BaseException) -> str:
     """` (file.py, line 7)`: the innermost line of an exception outside libraries; empty if there is none."""
-    frames = traceback.extract_tb(fault.__traceback__)
-    own = [f for f in frames if not f.filename.startswith(("<", *LIBRARIES))]
+    own = [f for f in traceback.extract_tb(fault.__traceback__) if not f.filename.startswith(("<", *LIBRARIES))]
     return f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
 
 

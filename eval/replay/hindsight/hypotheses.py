@@ -186,8 +186,7 @@ class Hypotheses:
             at = self._clones.at(m, 3, self._size)
             if at is None:
                 continue
-            gated = gate_threshold(gate, len(m.rows))
-            rule = self._how._replace(threshold=gated, retraction=updates.ADDITIVE)
+            rule = self._how._replace(threshold=gate_threshold(gate, len(m.rows)), retraction=updates.ADDITIVE)
             for h in reversed(self.members):
                 status, log_det = absorb(h.mean, h.P, len(h.mean), at, m, rule, done, i)
                 if status != kernels.OK:

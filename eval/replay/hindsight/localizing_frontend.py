@@ -321,8 +321,7 @@ class LocalizingFrontEnd(FrontEnd):
             if not before.lost:
                 self.alarms.append(self.k)
             alone = self._since(math.inf, EMPTY, frame)
-            tried = [scan for s, scan in zip(sums, self._scans, strict=True) if s >= constants.ALARM]
-            for scan in [*tried, alone]:
+            for scan in [*[scan for s, scan in zip(sums, self._scans, strict=True) if s >= constants.ALARM], alone]:
                 place = relocalize(scan, self.bank.map)
                 if place is not None:
                     decisions = self._go_to(place, scan)[-len(decisions) :]

@@ -85,8 +85,7 @@ class TwoModels:
 
     def each(self, step: Callable[[EkfSlam], Result]) -> Result:
         """Let all filters do a step; returns the result of the believed one."""
-        done = {each: step(each) for each in self._kept}
-        return done[self.believed]
+        return {each: step(each) for each in self._kept}[self.believed]
 
     def predict(self, increment: Increment) -> None:
         """Move by an increment."""

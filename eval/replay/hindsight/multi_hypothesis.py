@@ -193,8 +193,7 @@ class MultiHypothesisFrontEnd(FrontEnd):
             decisions[rows] = e.number[chosen]
             weight = h.weight + likelihood - float(cost[own, columns][columns >= n].sum())
             weight += float(miss[~np.isin(seen, chosen)].sum())
-            S = e.joint_innovation(rows, chosen)[1]
-            children.append((weight, h, Pairing(decisions, e, S=S)))
+            children.append((weight, h, Pairing(decisions, e, S=e.joint_innovation(rows, chosen)[1])))
         if h is self.members[0]:
             first = children[0][2].decisions
             self._detection.learn(part, np.isin(e.number[seen], first[first >= 0]), 1.0)

@@ -196,8 +196,7 @@ def place(
         return None
     e = best.expectation
     kept = prune(e, best.decisions, gate)
-    close = conditional_distances(e, kept, new_gate) < e.threshold(new_gate)
-    return best._replace(decisions=unless_close(kept, close))
+    return best._replace(decisions=unless_close(kept, conditional_distances(e, kept, new_gate) < e.threshold(new_gate)))
 
 
 def _near(e: Expectation, sensor: Sensor, motion: Array) -> IntArray:

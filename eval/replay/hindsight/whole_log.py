@@ -82,8 +82,7 @@ class Smoothed:
         """Which of the observed landmarks (n,) stay in the map."""
         numbers, times = self.times
         rows = [np.flatnonzero(self.found.number == n)[[0, -1]] for n in numbers.tolist()]
-        spans = np.array(rows, np.int64).reshape(-1, 2)
-        return remaining([self.detections[n] for n in numbers.tolist()], times, spans)
+        return remaining([self.detections[n] for n in numbers.tolist()], times, np.array(rows, np.int64).reshape(-1, 2))
 
     @cached_property
     def certain(self) -> tuple[IntArray, Array]:
@@ -161,8 +160,7 @@ def renumbered(found: Reassociation, held: IntArray) -> Reassociation:
     for here, there in pairs[np.argsort(-times, kind="stable")].tolist():
         if here not in other and there not in other.values():
             other[here] = there
-    number = np.array([other.get(n, -1) for n in found.number.tolist()], np.int64)
-    return Reassociation(number, found.misfit)
+    return Reassociation(np.array([other.get(n, -1) for n in found.number.tolist()], np.int64), found.misfit)
 
 
 def likelier(ours: Smoothed, theirs: Smoothed, view: Sensor) -> float:
@@ -316,8 +314,7 @@ class WholeLog:
         best = self._smooth_once(number, Start(path, places), by)
         for _ in range(constants.SAME_ROUNDS):
             scaled = Observations(best.seen.frame, best.seen.z, best.share * best.seen.R)
-            view = narrower(best.sensor, by.view)
-            pairs = same_landmarks(view, best.pose, best.known, scaled, best.found.number)
+            pairs = same_landmarks(narrower(best.sensor, by.view), best.pose, best.known, scaled, best.found.number)
             looks, limit = _looks(best.seen, best.found.number), gate_threshold(constants.SAME_GATE, 1)
             pairs = [p for p in pairs if looks is None or not looks.differ(np.array(p[:1]), np.array(p[1:]), limit)]
             if not pairs:

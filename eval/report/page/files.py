@@ -133,8 +133,7 @@ def write_table(
     written = []
     for suffix in formats:
         if suffix == "csv":
-            plain = frame.astype(object).map(lambda v: "" if is_blank(v) else v)
-            text = plain.to_csv(index=False, lineterminator="\n")
+            text = frame.astype(object).map(lambda v: "" if is_blank(v) else v).to_csv(index=False, lineterminator="\n")
         elif suffix == "md":
             text = f"{caption}\n\n{markdown(frame)}"
         else:

@@ -58,8 +58,7 @@ def test_textbook_noise_is_that_of_the_velocities_and_of_a_final_rotation(alphas
     dt = 0.4
 
     def moved(u):  # Probabilistic Robotics, Table 5.3, without drawing anything
-        arc = fine_integration(u[0], u[1], dt, 20_000)
-        return arc + np.array([0.0, 0.0, u[2] * dt])
+        return fine_integration(u[0], u[1], dt, 20_000) + np.array([0.0, 0.0, u[2] * dt])
 
     u, h = np.array([v, omega, 0.0]), 1e-4
     J = np.column_stack([(moved(u + d) - moved(u - d)) / (2.0 * h) for d in h * np.eye(3)])

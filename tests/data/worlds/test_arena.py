@@ -35,8 +35,7 @@ def test_what_is_in_view_is_read_as_often_as_detected_and_nothing_nearer_or_fart
 def test_a_narrow_view_reads_only_what_is_ahead():
     arena = Arena(landmarks=200, frames=60, field_of_view=math.pi / 2, clutter=5.0)
     log = simulate(arena, 1)
-    b = log.recorded.observations.z[:, 1]
-    assert np.abs(b).max() < math.pi / 4 + 5.0 * arena.sigma_bearing
+    assert np.abs(log.recorded.observations.z[:, 1]).max() < math.pi / 4 + 5.0 * arena.sigma_bearing
     assert (log.recorded.sensor.min_angle, log.recorded.sensor.max_angle) == pytest.approx((-np.pi / 4, np.pi / 4))
     assert Arena(field_of_view=9.0).model().max_angle == math.pi
 

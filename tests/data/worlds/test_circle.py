@@ -26,8 +26,7 @@ def seen(log: Log) -> set[tuple[int, int]]:
 def exact_readings(log: Log) -> np.ndarray:
     """Noise-free readings (M, 2), by complex numbers."""
     pose = log.truth.pose[log.recorded.observations.frame]
-    point = log.truth.landmarks.xy[log.truth.landmark_of]
-    z = ((point - pose[:, :2]) @ [1, 1j]) * np.exp(-1j * pose[:, 2])
+    z = ((log.truth.landmarks.xy[log.truth.landmark_of] - pose[:, :2]) @ [1, 1j]) * np.exp(-1j * pose[:, 2])
     return np.column_stack([z.real, z.imag])
 
 
@@ -78,15 +77,13 @@ class TestWorld:
     def test_a_ring_lies_around_the_path_at_its_distance_unless_told_where(self):
         xy = simulate(Circle(landmarks=4), 0).truth.landmarks.xy
         r = 0.25 / math.radians(1.5)
-        wanted = [[r + 3, r], [0, 2 * r + 3], [-r - 3, r], [0, -3]]
-        assert np.allclose(xy, wanted, rtol=0, atol=1e-12)
+        assert np.allclose(xy, [[r + 3, r], [0, 2 * r + 3], [-r - 3, r], [0, -3]], rtol=0, atol=1e-12)
         moved = simulate(Circle(landmarks=4, centre_x=1.0, centre_y=2.0), 0).truth.landmarks.xy
         assert np.allclose(moved, xy - [0, r] + [1, 2], rtol=0, atol=1e-12)
         assert simulate(Circle(landmarks=4, centre_y=0.0), 0).truth.landmarks.xy[0, 1] == 0.0
 
     def test_landmarks_are_seen_strictly_between_the_ranges_and_never_at_the_start(self):
-        circle = Circle(landmarks=40, ring=0.5, min_range=0.6, max_range=3.0, frames=300)
-        log = simulate(circle, 0)
+        log = simulate(Circle(landmarks=40, ring=0.5, min_range=0.6, max_range=3.0, frames=300), 0)
         distance = np.linalg.norm(log.truth.pose[:, None, :2] - log.truth.landmarks.xy, axis=2)
         wanted = {(f, i) for f, i in np.argwhere((distance > 0.6) & (distance < 3.0)).tolist() if f > 0}
         assert seen(log) == wanted
@@ -95,8 +92,7 @@ class TestWorld:
 
 class TestNoise:
     def test_odometry_and_readings_have_their_sigmas(self):
-        circle = Circle(period=0.5, sigma_speed=0.02, sigma_turn=0.01, sigma_point=0.2, frames=5000)
-        log = simulate(circle, 1)
+        log = simulate(Circle(period=0.5, sigma_speed=0.02, sigma_turn=0.01, sigma_point=0.2, frames=5000), 1)
         mean = log.recorded.increments.mean
         speed, turn = mean[1:, 0] / 0.5 - 0.25, mean[1:, 2] / 0.5 - math.radians(1.5)
         assert agrees(speed, 0.02)

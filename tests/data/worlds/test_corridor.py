@@ -72,8 +72,7 @@ class TestAgainstTheRecordedRuns:
 class TestView:
     def test_a_point_as_far_as_the_range_is_not_seen(self):
         """With 0.6 m only the inner rows can be seen, when the robot is abreast of them; the corners have no others."""
-        log = simulate(Corridor(range=0.6), 0)
-        rows = (np.unique(log.truth.landmark_of) - 1) % 22
+        rows = (np.unique(simulate(Corridor(range=0.6), 0).truth.landmark_of) - 1) % 22
         assert set(rows.tolist()) == set(range(6, 17))
 
     def test_angles_limit_the_view(self):
@@ -129,8 +128,7 @@ class TestNoise:
         error = np.angle(np.exp(1j * (measured[:, 1] - exact[:, 1])))
         for near in (True, False):
             assert agrees(error[(exact[:, 0] < 2.0) == near], math.radians(0.125))
-        share = measured[:, 0] / exact[:, 0] - 1.0
-        assert abs(np.corrcoef(error, share)[0, 1]) * math.sqrt(len(error)) < LIMIT
+        assert abs(np.corrcoef(error, measured[:, 0] / exact[:, 0] - 1.0)[0, 1]) * math.sqrt(len(error)) < LIMIT
 
     def test_R_comes_from_the_measured_reading_and_not_from_the_true_one(self):
         """With noise this large the two differ by far more than rounding; trap: truth leaking into the inputs."""
@@ -193,10 +191,8 @@ class TestPeople:
         assert abs(still.std() - 10 / math.sqrt(12)) < 0.1
 
     def test_velocity_starts_with_its_sigma_and_changes_by_its_own(self):
-        walks = self.walks(Corridor, 1, crowd=300)
-        velocity = np.diff(walks, axis=0)
-        change = np.diff(velocity, axis=0)
-        assert agrees(change.ravel(), 0.01)
+        velocity = np.diff(self.walks(Corridor, 1, crowd=300), axis=0)
+        assert agrees(np.diff(velocity, axis=0).ravel(), 0.01)
         for k in (0, 20, 42):
             # from frame k to k + 1: the first velocity and k + 1 changes
             assert agrees(velocity[k].ravel(), math.sqrt(0.05**2 + (k + 1) * 0.01**2))

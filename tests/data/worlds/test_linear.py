@@ -22,8 +22,7 @@ class TestLinearity:
             for quantity, values in means.items():
                 values.append(float(np.mean(nees(run.pose, run.covariance, log.truth.pose, quantity))))
         for quantity, dof in (("pose", 3), ("position", 2), ("heading", 1)):
-            found = verdict(np.array(means[quantity]), dof)
-            assert found.p_value > 0.001, quantity
+            assert verdict(np.array(means[quantity]), dof).p_value > 0.001, quantity
 
 
 class TestNoise:
@@ -56,8 +55,7 @@ class TestNoise:
     def test_noise_below_the_floor_is_drawn_from_the_floor(self):
         log = simulate(LinearWorld(frames=4000, sigma_turn=0.0), 0)
         assert log.recorded.floored == 3999
-        turn = se2.wrap_angle(log.recorded.increments.mean[1:, 2] - np.diff(log.truth.pose[:, 2]))
-        assert agrees(turn, 1e-5)
+        assert agrees(se2.wrap_angle(log.recorded.increments.mean[1:, 2] - np.diff(log.truth.pose[:, 2])), 1e-5)
 
 
 class TestStreams:

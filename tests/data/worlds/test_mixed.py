@@ -61,6 +61,5 @@ def test_beneath_is_the_arena_of_the_same_parameters():
 
 def test_a_period_of_zero_leaves_a_sensor_out():
     assert open_log("mixed:0:closure_period=0").recorded.closures is None
-    only = open_log("mixed:0:gps_period=0").recorded.fixes
-    assert [s.name for s in only.sources] == ["compass"]
+    assert [s.name for s in open_log("mixed:0:gps_period=0").recorded.fixes.sources] == ["compass"]
     assert open_log("mixed:0:gps_period=0+compass_period=0").recorded.fixes is None

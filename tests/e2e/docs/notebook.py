@@ -38,8 +38,7 @@ def executed(notebook: dict[str, Any]) -> dict[str, Any]:
 
 def run_cell(source: str, names: dict[str, Any], count: int) -> list[Output]:
     """What a cell prints, and what its last expression shows as; lines with % are Jupyter's own."""
-    code = "\n".join("" if line.startswith("%") else line for line in source.split("\n"))
-    body = ast.parse(code).body
+    body = ast.parse("\n".join("" if line.startswith("%") else line for line in source.split("\n"))).body
     last = body.pop() if body and isinstance(body[-1], ast.Expr) else None
     printed = io.StringIO()
     value = None

@@ -170,8 +170,7 @@ by_name = pytest.mark.parametrize("tour", TOURS, ids=[path.stem for path in TOUR
 @by_name
 def test_the_tour_runs_and_shows_what_is_stored(tour):
     stored = load(tour)
-    fresh = executed(stored)
-    for before, now in zip(stored["cells"], fresh["cells"], strict=True):
+    for before, now in zip(stored["cells"], executed(stored)["cells"], strict=True):
         assert outputs_of(before) == outputs_of(now), before["id"]
 
 

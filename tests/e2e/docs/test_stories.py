@@ -77,8 +77,7 @@ def test_the_commands_run_as_written(here, capsys):
 def test_the_lines_of_python_run(capsys):
     (code,) = [code for code in PYTHON if code.startswith("import slamref")]
     exec(compile(code, "extending.md", "exec"), {})
-    said = capsys.readouterr().out
-    assert said.split().count("0.327855") == 2
+    assert capsys.readouterr().out.split().count("0.327855") == 2
 
 
 def test_every_verb_it_names_is_one_and_none_is_left_out():
@@ -147,8 +146,7 @@ def test_the_story_of_the_docs(tmp_path, monkeypatch, capsys):
 def test_the_commands_beside_the_example_files_run_and_localize(here, monkeypatch, capsys, refused):
     assert slamref.main(["example", "files"]) == 0
     monkeypatch.chdir(here / "files")
-    text = Path("commands.sh").read_text(encoding="utf-8").replace("\\\n", " ")
-    for line in text.splitlines():
+    for line in Path("commands.sh").read_text(encoding="utf-8").replace("\\\n", " ").splitlines():
         program, *words = shlex.split(line, comments=True) or [""]
         assert program in ("", "slamref")
         assert not program or slamref.main(words) == 0, line
@@ -164,8 +162,7 @@ STORIES = dict(re.findall(r"```sh (\w+)\n(.*?)```", STORIES_PAGE.read_text(encod
 
 def tell(story):
     write(Path.cwd())
-    commands = [shlex.split(line) for line in STORIES[story].strip().splitlines()]
-    for program, *words in commands:
+    for program, *words in [shlex.split(line) for line in STORIES[story].strip().splitlines()]:
         assert program == "slamref"
         assert slamref.main(words) == 0, words
 
@@ -201,8 +198,7 @@ def test_the_engineer_learns_what_to_trust(here):
     metrics = pd.read_csv(here / "report" / "metrics.csv").query("estimator != 'dead-reckoning'")
     assert set(metrics["association"]) == {"jcbb-hindsight"}
     assert metrics["nis"].between(0.8, 1.2).all()
-    trust = pd.read_csv(here / "trust" / "trust.csv")
-    assert trust["p"].notna().any()
+    assert pd.read_csv(here / "trust" / "trust.csv")["p"].notna().any()
 
 
 @pytest.mark.slow

@@ -51,8 +51,7 @@ def read_wall(sensor, x):
     ce, se = np.cos(sensor.rotation), np.sin(sensor.rotation)
     mount = np.array([[ce, -se], [se, ce]])
     normal = np.array([np.cos(x[4]), np.sin(x[4])])
-    along = np.array([-normal[1], normal[0]])
-    ends = x[3] * normal + np.array([[-1.0], [1.0]]) * along
+    ends = x[3] * normal + np.array([[-1.0], [1.0]]) * np.array([-normal[1], normal[0]])
     body = (ends - x[:2]) @ np.array([[c, -s], [s, c]])
     a, b = body @ mount.T + np.array(sensor.translation)
     way = (b - a) / np.linalg.norm(b - a)

@@ -39,8 +39,7 @@ def test_estimators_with_the_same_decisions_share_a_bar_and_revised_ones_have_tw
     assert [b.counts.fp for b in shown] == [0, 1, 0]
     same = lab_run(KEPT, "jcbb", changes={4: NEW}, removed={2: 4})
     assert [b.label for b in bars(trial(same, log=KEPT))] == ["jcbb (EKF)"]
-    unknown = replace(LOG, truth=replace(LOG.truth, landmark_of=None))
-    assert bars(trial(KNOWN, log=unknown)) == []
+    assert bars(trial(KNOWN, log=replace(LOG, truth=replace(LOG.truth, landmark_of=None)))) == []
 
 
 def test_every_bar_is_as_long_as_there_are_observations_and_fp_and_fn_stand_in_numbers():

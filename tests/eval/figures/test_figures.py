@@ -97,8 +97,7 @@ def test_every_figure_is_drawn_in_every_situation_with_units_and_nothing_cut(kin
 
 def test_three_sigma_ellipses_and_longest_sigmas_are_what_theory_says():
     covariance = np.array([[0.5, 0.3], [0.3, 0.4]])
-    rng = np.random.default_rng(5)
-    samples = rng.multivariate_normal([1.0, -2.0], covariance, size=200_000)
+    samples = np.random.default_rng(5).multivariate_normal([1.0, -2.0], covariance, size=200_000)
     outline = ellipses(np.array([[1.0, -2.0]]), covariance[None], count=720)[0]
     assert Outline(outline).contains_points(samples).mean() == pytest.approx(0.98889, abs=0.0008)
     slightly = np.diag([-1e-18, 0.04, 0.01])
@@ -137,15 +136,13 @@ def test_ellipses_too_small_to_see_are_enlarged_by_a_round_factor_that_the_legen
     # 3 mm against 1.2 % of 14 m
     certain = replace(FILTER.trajectory("online"), covariance=1e-6 * np.tile(np.eye(3), (FRAMES, 1, 1)))
     fig = map_figure(circle_log(), [replace(FILTER, online=certain, map=None)])
-    labels = [t.get_text() for t in fig.legends[0].get_texts()]
-    assert "3σ ellipses, drawn 100 times larger" in labels
+    assert "3σ ellipses, drawn 100 times larger" in [t.get_text() for t in fig.legends[0].get_texts()]
     drawn = np.concatenate([p.vertices for c in fig.axes[0].collections for p in c.get_paths()[:1]])
     assert np.ptp(drawn, axis=0) == pytest.approx(2 * 3.0 * 1e-3 * 100, rel=0.01)
 
 
 def test_a_long_curve_is_thinned_without_losing_an_extreme_or_a_gap():
-    rng = np.random.default_rng(2)
-    curve = rng.normal(size=50_000)
+    curve = np.random.default_rng(2).normal(size=50_000)
     curve[31_234], curve[1_111] = 90.0, -80.0
     curve[20_030] = np.nan
     keep = thinned(curve)
@@ -159,8 +156,7 @@ def test_a_long_curve_is_thinned_without_losing_an_extreme_or_a_gap():
 
 def test_errors_are_wrapped_in_degrees_in_four_columns_and_say_who_stopped():
     log = circle_log()
-    turned = run_with_error(np.array([0.0, 0.0, 2.0 * np.pi - 0.01]))
-    heading = error_figure(log, [turned]).axes[2]
+    heading = error_figure(log, [run_with_error(np.array([0.0, 0.0, 2.0 * np.pi - 0.01]))]).axes[2]
     assert heading.lines[-1].get_ydata() == pytest.approx(np.degrees(-0.01))
     assert heading.lines[0].get_ydata() == pytest.approx(3.0 * np.degrees(SIGMA[2]))
     log, runs = SITUATIONS["six phases"]

@@ -42,8 +42,7 @@ def test_phases_and_associations_of_one_estimator_differ_in_label_and_line():
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory):
     before = dict(matplotlib.rcParams)
-    files = pictures(tmp_path_factory.mktemp("here"))
-    return files, before, dict(matplotlib.rcParams)
+    return pictures(tmp_path_factory.mktemp("here")), before, dict(matplotlib.rcParams)
 
 
 @pytest.mark.slow
@@ -101,8 +100,7 @@ def test_ways_of_association_and_foreign_names_stay_apart_for_colour_blind_reade
         assert np.linalg.norm(lab(a, seen) - lab(b, seen)) > 15.0, (a, b)  # a just noticeable difference is about 2.3
     theirs = [colour for colour, _ in OTHERS]
     ours = [STYLES[n].colour for n in ("dead-reckoning", "ekf", "isam2", "batch")]
-    pairs = [*combinations(theirs, 2), *((a, b) for a in theirs for b in ours)]
-    for a, b in pairs:
+    for a, b in [*combinations(theirs, 2), *((a, b) for a in theirs for b in ours)]:
         assert np.linalg.norm(lab(a, seen) - lab(b, seen)) > 15.0, (a, b)
 
 

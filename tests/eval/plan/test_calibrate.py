@@ -100,8 +100,7 @@ def test_a_log_that_errs_has_its_error_estimated(tmp_path, monkeypatch):
         (file,) = Path("r/runs").glob(f"*/slam-{name}-known/{phase}.csv")
         last = pd.read_csv(file).iloc[-1]
         assert abs(last["curvature"] - 0.05) < 3.0 * last["sigma_curvature"] < 0.02, name
-    metrics = pd.read_csv("r/metrics.csv")
-    assert np.allclose(metrics["nis"].dropna(), 1.0, atol=0.06)
+    assert np.allclose(pd.read_csv("r/metrics.csv")["nis"].dropna(), 1.0, atol=0.06)
 
 
 def found(*names, other=()):

@@ -32,8 +32,7 @@ def unmeasured(tmp_path_factory):
     increments = replace(log.recorded.increments, mean=mean)
     folder = tmp_path_factory.mktemp("logs") / "mine"
     recorded = replace(log.recorded, increments=increments).without_map()
-    given = replace(log, recorded=recorded, truth=Truth(), label=log.granted)
-    write_folder(given, folder)
+    write_folder(replace(log, recorded=recorded, truth=Truth(), label=log.granted), folder)
     return folder
 
 

@@ -143,8 +143,7 @@ def lines_of(jobs, seconds, capsys, quiet=False):
 
 def test_a_long_command_writes_a_line_each_minute(monkeypatch, capsys):
     monkeypatch.setattr(told, "EVERY", 0.2)
-    lines = lines_of(10, 0.08, capsys)
-    assert 2 <= sum(" of 10 runs after 00:0" in line for line in lines) <= 5
+    assert 2 <= sum(" of 10 runs after 00:0" in line for line in lines_of(10, 0.08, capsys)) <= 5
     assert lines_of(2, 0.01, capsys) == lines_of(10, 0.03, capsys, quiet=True) == []
 
 

@@ -22,8 +22,7 @@ def test_decisions_are_counted_by_hand():
     frame = np.array([0, 0, 1, 1, 1, 1, 1])
     true_id = np.array([7, 9, 7, 9, 7, -1, -1])
     decisions = np.array([NEW, NEW, 0, 0, NEW, 1, DISCARD])
-    created = np.array([0, 1, -1, -1, 2, -1, -1])
-    c = confuse(frame, true_id, decisions, created, None)
+    c = confuse(frame, true_id, decisions, np.array([0, 1, -1, -1, 2, -1, -1]), None)
     assert c.ground_truth.tolist() == [-1, -1, 0, 1, 0, -1, -1]
     assert (c.tp, c.tn, c.fp, c.fn) == (1, 3, 2, 1)
     assert (c.wrong, c.spurious, c.duplicate, c.missed) == (1, 1, 1, 0)
@@ -69,8 +68,7 @@ def test_a_pairing_is_near_if_its_landmark_is_near_the_right_one():
 
 def test_the_majority_agrees_where_a_neighbour_initialized_a_landmark_and_clutter_with_nothing():
     decisions, true_id = np.array([NEW, 0, 0, 0]), np.array([9, 7, 7, 7])
-    created = np.array([0, -1, -1, -1])
-    assert confuse(np.arange(4), true_id, decisions, created, None).fp == 3
+    assert confuse(np.arange(4), true_id, decisions, np.array([0, -1, -1, -1]), None).fp == 3
     assert majority_agreement(decisions, true_id) == 1.0
     assert majority_agreement(np.array([0, 0, 0, 1]), np.array([-1, -1, 7, 7])) == 0.5
     assert np.isnan(majority_agreement(np.array([NEW, DISCARD]), np.array([1, 1])))

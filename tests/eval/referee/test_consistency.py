@@ -64,11 +64,9 @@ def test_the_interval_is_students_t_and_fewer_than_fifty_runs_are_never_consiste
 
 
 def test_stated_power_is_the_rejection_rate_of_a_shrunken_covariance():
-    rng = np.random.default_rng(2)
-    draws = rng.chisquare(3 * 20, (400, 50)) / 20
+    draws = np.random.default_rng(2).chisquare(3 * 20, (400, 50)) / 20
     rejected = np.mean([consistency.verdict(d / 0.8, 3).word == "overconfident" for d in draws])
-    stated = np.mean([consistency.verdict(d, 3).power for d in draws])
-    assert stated == pytest.approx(rejected, abs=0.06)
+    assert np.mean([consistency.verdict(d, 3).power for d in draws]) == pytest.approx(rejected, abs=0.06)
 
 
 def test_squared_distance_does_not_depend_on_units_wraps_and_skips_singular_covariances():

@@ -146,8 +146,7 @@ def test_numbers_of_landmarks_do_not_matter_pairings_do():
     assert diagnostics.differing(PAIRED, other) == pytest.approx(0.1)
     assert diagnostics.differing(PAIRED, PAIRED // 2) == pytest.approx(0.5, abs=0.05), "each is two in the other run"
     assert diagnostics.differing(PAIRED, PAIRED // 2) == diagnostics.differing(PAIRED // 2, PAIRED)
-    fewer = np.where(RNG.random(1000) < 0.5, -1, PAIRED)
-    assert diagnostics.differing(PAIRED, fewer) == 0.0
+    assert diagnostics.differing(PAIRED, np.where(RNG.random(1000) < 0.5, -1, PAIRED)) == 0.0
     assert diagnostics.differing(PAIRED, np.full(1000, -1)) == 0.0
 
 
@@ -159,8 +158,7 @@ def made(association: str, paired: np.ndarray, estimator: str = "ekf") -> Run:
 def test_a_pair_of_methods_is_told_once_and_labels_are_no_method():
     other = np.where(np.arange(1000) < 50, (PAIRED + 1) % 20, PAIRED)
     runs = [made(m, p, e) for e in ("ekf", "isam2") for m, p in (("known", other), ("jcbb", PAIRED), ("nn", other))]
-    trial = Trial(circle_log(), "slam", tuple(runs))
-    (found,) = diagnostics.disputed(trial, NOT_SCORED)
+    (found,) = diagnostics.disputed(Trial(circle_log(), "slam", tuple(runs)), NOT_SCORED)
     assert (found.code, found.estimator, found.named["methods"]) == (Code.DISPUTED, "ekf", ("jcbb", "nn"))
     assert found.named["share"] == pytest.approx(0.05)
     assert sentence(found).startswith("jcbb and nn pair 5.00 % of the observations with other landmarks")

@@ -39,8 +39,7 @@ def test_errors_over_frames_with_truth_are_those_computed_by_hand():
 
 
 def test_alignment_undoes_a_rigid_motion_but_not_a_mirror_or_a_scale():
-    rng = np.random.default_rng(0)
-    truth = np.column_stack([rng.normal(size=(30, 2)), np.zeros(30)])
+    truth = np.column_stack([np.random.default_rng(0).normal(size=(30, 2)), np.zeros(30)])
     c, s = math.cos(2.0), math.sin(2.0)
     moved = truth.copy()
     moved[:, :2] = truth[:, :2] @ np.array([[c, -s], [s, c]]).T + [5, -7]
@@ -53,8 +52,7 @@ def test_landmarks_are_compared_by_the_true_id_of_their_founding_observation():
     truth = Truth(
         landmarks=LandmarkMap(np.array([3, 8]), np.array([[1.0, 1], [2, 2]])), landmark_of=np.array([8, 3, 8, -1, 99])
     )
-    created = np.array([0, 1, -1, 2, 3])
-    ids = errors.landmark_true_ids(created, truth, np.array([0, 1, 2, 3]))
+    ids = errors.landmark_true_ids(np.array([0, 1, -1, 2, 3]), truth, np.array([0, 1, 2, 3]))
     assert ids.tolist() == [8, 3, -1, 99]
     off = errors.landmark_errors(np.array([[2.0, 3], [1, 1], [0, 0], [9, 9]]), ids, truth, RangeBearing())
     assert off[:2].tolist() == [[0, 1], [0, 0]]
@@ -119,8 +117,7 @@ def test_relations_that_say_nothing_of_stamps_or_of_exactness_are_not_asked_for_
 
 def test_a_stamp_between_two_frames_is_between_their_poses_and_headings_take_the_shorter_way():
     path = np.array([[0.0, 0.0, 3.0], [1.0, 2.0, -3.0], [3.0, 2.0, -3.0]])
-    stamp = np.array([0.0, 1.0, 2.0])
-    got = at_stamps(path, stamp, np.array([0.25, 0.75, 1.0, 1.5, -4.0, 9.0]))
+    got = at_stamps(path, np.array([0.0, 1.0, 2.0]), np.array([0.25, 0.75, 1.0, 1.5, -4.0, 9.0]))
     turn = 2.0 * (math.pi - 3.0)
     np.testing.assert_allclose(got[0], [0.25, 0.5, 3.0 + 0.25 * turn], atol=1e-12)
     np.testing.assert_allclose(got[1], [0.75, 1.5, -3.0 - 0.25 * turn], atol=1e-12)
@@ -185,8 +182,7 @@ def test_the_energy_score_is_that_of_numeric_integration(y):
 
 
 def test_the_energy_score_of_a_belief_without_width_is_the_distance_and_of_a_line_the_crps():
-    far = energy_score(np.array([[3.0, 4.0]]), 1e-14 * np.eye(2)[None])[0]
-    assert far == pytest.approx(5.0, rel=1e-6)
+    assert energy_score(np.array([[3.0, 4.0]]), 1e-14 * np.eye(2)[None])[0] == pytest.approx(5.0, rel=1e-6)
     for y in (0.0, 0.5, -2.0):
         line = energy_score(np.array([[y, 0.0]]), np.diag([0.25, 1e-14])[None])[0]
         assert line == pytest.approx(float(crps(np.array(y), np.array(0.5))), rel=1e-5)

@@ -100,8 +100,7 @@ def test_a_missing_interval_has_a_reason(values, why):
 
 def test_what_two_runs_share_cancels_in_their_difference():
     common = squares(0.9, 1000, 1, 9)[0]
-    own = 0.05 * rng(10).standard_normal(1000)
-    a, b = common + 0.1 + own, common
+    a, b = common + 0.1 + (0.05 * rng(10).standard_normal(1000)), common
     paired, _ = intervals((a, b), (a, b), rng())
     alone, _ = intervals(a, a, rng())
     assert paired.value == pytest.approx(math.sqrt(a.mean()) - math.sqrt(b.mean()))
@@ -192,8 +191,7 @@ def test_constant_and_unknown_statistics_do_not_count_but_a_log_that_differs_fro
 
 @pytest.mark.parametrize("n", [5, 19, 39, 99])
 def test_one_more_draw_is_within_the_bounds_of_the_others_in_95_of_100(n):
-    rng = np.random.default_rng(n)
-    drawn = rng.standard_normal((4000, n + 1))
+    drawn = np.random.default_rng(n).standard_normal((4000, n + 1))
     bounds = np.array([battery.bounds(row[1:]) for row in drawn])
     inside = np.mean((bounds[:, 0] <= drawn[:, 0]) & (drawn[:, 0] <= bounds[:, 1]))
     assert inside == pytest.approx(0.95, abs=0.014)

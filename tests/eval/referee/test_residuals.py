@@ -188,8 +188,7 @@ def with_noise(log, noise):
 def noise_of(log):
     """The noise (M, 2) of a log's observations, in stated sigmas."""
     o, truth = log.recorded.observations, log.truth
-    places = log.recorded.map.positions(truth.landmark_of)
-    exact = log.recorded.sensor.predict(truth.pose[o.frame], places)
+    exact = log.recorded.sensor.predict(truth.pose[o.frame], log.recorded.map.positions(truth.landmark_of))
     return log.recorded.sensor.residual(o.z, exact) / np.sqrt(np.einsum("mii->mi", o.R))
 
 

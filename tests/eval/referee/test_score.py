@@ -48,8 +48,7 @@ def test_how_the_optimization_ended_stands_in_the_final_row_of_a_smoother():
     found, _ = rows(EKF, BATCH)
     assert (found["batch"]["iterations"], found["batch"]["last_step_sigma"]) == (7, 2e-5)
     assert pd.isna(found["ekf"]["iterations"])
-    both = replace(BATCH, estimator="isam2", online=EKF.online)
-    table = rows(both)[1].metrics
+    table = rows(replace(BATCH, estimator="isam2", online=EKF.online))[1].metrics
     assert table["iterations"].fillna(-1).tolist() == [-1, 7]
 
 

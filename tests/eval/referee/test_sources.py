@@ -71,8 +71,7 @@ def test_sources_are_taken_apart_and_scored_by_chi_square_without_a_gate():
     assert s.nis_dof == 120
     assert s.nis_mean == pytest.approx(found.nis.sum() / 120)
     np.testing.assert_allclose((s.nis_low, s.nis_high), scipy.stats.chi2.ppf([0.025, 0.975], 120) / 120)
-    mixed = replace(fixes(6), kind=np.array([0, 1, 0, 1, 2, 0]))
-    found = sources_of(log_with(mixed, closures()).recorded)
+    found = sources_of(log_with(replace(fixes(6), kind=np.array([0, 1, 0, 1, 2, 0])), closures()).recorded)
     assert [(s.name, s.kind, len(s.rows)) for s in found] == [
         ("gps", "position", 3), ("gps", "heading", 2), ("gps", "pose", 1), ("loops", "closure", 20),
     ]  # fmt: skip
@@ -125,8 +124,7 @@ def test_a_source_with_outliers_is_rejected_and_one_that_cannot_be_used_is_unuse
 def nothing_seen(**sources):
     log = log_with(**sources)
     o = log.recorded.observations
-    none = replace(o, frame=o.frame[:0], z=o.z[:0], R=o.R[:0])
-    recorded = replace(log.recorded, observations=none)
+    recorded = replace(log.recorded, observations=replace(o, frame=o.frame[:0], z=o.z[:0], R=o.R[:0]))
     empty = np.empty(0, np.int64)
     run = replace(run_with(), decisions=empty, final_decisions=empty, created=empty)
     return replace(log, recorded=recorded, truth=replace(log.truth, landmark_of=None)), run
@@ -178,8 +176,7 @@ def test_copies_of_dead_reckoning_beside_closures_are_not_trusted():
     assert [o.objection for o in bare.objections] == [Objection.IDLE, Objection.IDLE]
     found = drawn(np.random.default_rng(0), 20, 3)
     used = replace(run, closures=found), replace(smoother, closures_final=found)
-    trusted = judge(Trial(log, "slam", used), score([Trial(log, "slam", used)]), ())
-    assert not trusted.objections
+    assert not judge(Trial(log, "slam", used), score([Trial(log, "slam", used)]), ()).objections
 
 
 def test_what_gnc_accepts_is_expected_below_its_threshold_by_source():

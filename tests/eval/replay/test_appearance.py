@@ -68,8 +68,7 @@ def test_twins_draw_readings_about_the_mean_of_each_landmark():
     true = log.truth.landmarks.appearance
     rows = log.truth.landmarks.rows(log.truth.landmark_of)
     assert not np.array_equal(drawn.descriptor, own.descriptor)
-    off = drawn.descriptor - true.descriptor[rows]
-    assert np.std(off) == pytest.approx(0.2, rel=0.2)
+    assert np.std(drawn.descriptor - true.descriptor[rows]) == pytest.approx(0.2, rel=0.2)
     assert np.mean(drawn.category == true.category[rows]) == pytest.approx(0.95, abs=0.04)
     assert twin(source, 0).recorded.observations.appearance.descriptor.tobytes() == drawn.descriptor.tobytes()
 

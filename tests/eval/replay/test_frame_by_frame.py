@@ -142,8 +142,7 @@ def test_parts_of_a_frame_add_up(recorder):
 
 
 def test_a_smoothers_sum_is_its_own_and_a_filter_that_failed_has_none(recorder):
-    smoother = front(estimator=SimpleNamespace(smooths=True))
-    run = ran(recorder, smoother, Finished(None, None, (9.0, 8)))
+    run = ran(recorder, front(estimator=SimpleNamespace(smooths=True)), Finished(None, None, (9.0, 8)))
     assert (run.total_nis, run.state_size) == ((9.0, 8), None)
     assert ran(recorder, front(), NOTHING, SimpleNamespace(status="diverged")).total_nis is None
 
@@ -184,8 +183,7 @@ def test_every_way_of_association_is_known_a_method_hindsight_or_of_scans():
 
 @pytest.mark.parametrize("task", settings.TASKS)
 def test_every_estimator_runs_by_its_name(task):
-    inputs = simulate(Arena(frames=4), 0).inputs(labels=True)
-    runs = compare(inputs, task, settings.ESTIMATORS)
+    runs = compare(simulate(Arena(frames=4), 0).inputs(labels=True), task, settings.ESTIMATORS)
     assert [run.estimator for run in runs] == list(settings.ESTIMATORS)
 
 

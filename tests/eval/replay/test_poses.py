@@ -147,8 +147,7 @@ def test_hindsight_uses_each_once(task, name):
 
 def test_a_fix_decides_between_hypotheses():
     """Two landmarks that look alike: where the robot is depends on the fix alone."""
-    log = simulate(SHORT, 2)
-    inputs = log.inputs()
+    inputs = simulate(SHORT, 2).inputs()
     given = Beginning(inputs.prior, inputs.sensor, inputs.map, fixes=inputs.fixes)
     localizer = LocalizingFrontEnd("ekf", "jcbb-hindsight", given, Setup())
     leader = localizer.bank.members[0]

@@ -27,8 +27,7 @@ from tests.eval.replay.worlds import linear_world, slam
 
 @pytest.mark.parametrize("method", METHODS)
 def test_on_a_linear_world_filter_and_smoother_decide_alike_over_the_whole_run(method):
-    inputs = linear_world(0)
-    ekf, isam2 = compare(inputs, "slam", ["ekf", "isam2"], method)
+    ekf, isam2 = compare(linear_world(0), "slam", ["ekf", "isam2"], method)
     assert ekf.failure is None
     assert isam2.failure is None
     np.testing.assert_array_equal(ekf.decisions, isam2.decisions)
@@ -145,8 +144,7 @@ def wrong(clean):
 
 
 def off(run, log):
-    t = run.trajectory(run.phases[-1])
-    return errors.rms(errors.position_distance(t.pose, log.truth.pose))
+    return errors.rms(errors.position_distance(run.trajectory(run.phases[-1]).pose, log.truth.pose))
 
 
 @pytest.mark.parametrize("task", ["localization", "slam"])
@@ -156,8 +154,7 @@ def test_a_fixed_lag_longer_than_the_log_is_isam2_and_a_short_one_is_near(clean,
     (short,) = compare(inputs, task, ["fixed-lag"], setup=Setup(lag=3.0))
     assert whole.phases == short.phases == ("online", "final")
     np.testing.assert_allclose(whole.online.pose, isam2.online.pose, atol=1e-6)
-    distance = errors.position_distance(short.online.pose, isam2.online.pose)
-    assert 1e-7 < errors.rms(distance) < 0.01
+    assert 1e-7 < errors.rms(errors.position_distance(short.online.pose, isam2.online.pose)) < 0.01
     assert short.map is None or len(short.map) == len(isam2.map)
 
 
@@ -167,8 +164,7 @@ def test_a_fixed_lag_longer_than_the_log_is_isam2_and_a_short_one_is_near(clean,
     ))
 ])  # fmt: skip
 def test_batch_and_isam2_end_in_the_same_optimum(name):
-    inputs = open_log(name).inputs(labels=True)
-    isam2, batch = compare(inputs, "slam", ["isam2", "batch"])
+    isam2, batch = compare(open_log(name).inputs(labels=True), "slam", ["isam2", "batch"])
     sigma = np.sqrt(np.diagonal(batch.final.covariance, axis1=1, axis2=2)).clip(1e-6)
     assert np.abs((isam2.final.pose - batch.final.pose) / sigma).max() < 1e-3
     assert max(isam2.last_step_sigma, batch.last_step_sigma) < 1e-3
@@ -202,8 +198,7 @@ def test_a_landmark_of_which_nothing_is_left_is_discarded_with_its_founding(clea
     assert all(gnc.final_decisions[i] == DISCARD for i in gone)
     kept = [i for i in initialized if gnc.created[i] in gnc.map.number]
     assert all(gnc.final_decisions[i] == NEW for i in kept)
-    scores = score([Trial(wrong, "slam", (gnc,))])
-    assert scores.metrics.loc[0, "landmarks"] == len(gnc.map)
+    assert score([Trial(wrong, "slam", (gnc,))]).metrics.loc[0, "landmarks"] == len(gnc.map)
 
 
 @pytest.mark.slow

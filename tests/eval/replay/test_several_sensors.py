@@ -33,8 +33,7 @@ def drive(seed: int, sensors: tuple[Sensor, ...], frames: int = 60) -> Log:
         np.arange(14), np.concatenate([trees, [[-9.0, 12.0], [9.0, -3.0]]]), ("tree",) * 12 + ("beacon",) * 2
     )
     step, spread = np.array([0.3, 0.0, 0.06]), np.diag([0.02, 0.01, 0.01]) ** 2
-    start = rng.multivariate_normal(np.zeros(3), np.diag([0.05, 0.05, 0.02]) ** 2)
-    pose = [start]
+    pose = [rng.multivariate_normal(np.zeros(3), np.diag([0.05, 0.05, 0.02]) ** 2)]
     for _ in range(frames - 1):
         pose.append(compose(pose[-1], step))
     path = np.array(pose)
@@ -94,24 +93,20 @@ def test_landmarks_of_another_kind_are_no_candidates(name, method):
     assert run.failure is None
     which = log.recorded.observations.sensor
     paired = run.decisions >= 0
-    trees = (which == 0) | (which == 2)
-    assert (run.decisions[paired & trees] < 12).all()
+    assert (run.decisions[paired & ((which == 0) | (which == 2))] < 12).all()
     assert (run.decisions[paired & (which == 3)] >= 12).all()
-    right = run.decisions == log.truth.landmark_of
-    assert right[which != 1].mean() > 0.9
+    assert (run.decisions == log.truth.landmark_of)[which != 1].mean() > 0.9
 
 
 def test_slam_of_sensors_that_locate_landmarks_uses_the_others_too():
     log = drive(3, (LIDAR, CAMERA, TAGS))
     ekf, batch = compare(log.inputs(labels=True), "slam", ["ekf", "batch"], "known")
-    used = (ekf.decisions >= 0) & (log.recorded.observations.sensor == 1)
-    assert used.sum() > 50
+    assert ((ekf.decisions >= 0) & (log.recorded.observations.sensor == 1)).sum() > 50
     assert np.abs(batch.final.pose - log.truth.pose)[:, :2].max() < 1.0
 
 
 def test_slam_without_labels_of_bearings_alone_is_refused():
-    log = drive(4, (CAMERA,))
-    run = compare(log.inputs(), "slam", ["ekf"], "jcbb")[0]
+    run = compare(drive(4, (CAMERA,)).inputs(), "slam", ["ekf"], "jcbb")[0]
     assert run.failure is not None
     assert "does not locate a new landmark" in run.failure.text
 
@@ -177,8 +172,7 @@ def mislabelled(log: Log, share: float) -> tuple[Inputs, np.ndarray]:
 @pytest.mark.parametrize("task", ["localization", slow("slam")])
 @pytest.mark.parametrize("name", ["bearings", *map(slow, [*OFF_CENTRE][1:])])
 def test_gnc_finds_wrong_labels_of_sensors_with_a_lever_arm(task, name):
-    log = drive(3, OFF_CENTRE[name], frames=40)
-    inputs, wrong = mislabelled(log, 0.08)
+    inputs, wrong = mislabelled(drive(3, OFF_CENTRE[name], frames=40), 0.08)
     inputs = inputs if task == "localization" else inputs.without_map()
     (run,) = compare(inputs, task, ("gnc",), "known")
     assert run.failure is None

@@ -44,8 +44,7 @@ def test_the_hindsight_mapper_estimates_its_own_errors_and_those_of_the_run(inpu
     np.testing.assert_array_equal(
         np.sqrt(np.diag(MappingFrontEnd("ekf", "jcbb-hindsight", given, Setup()).filter.errors[1])), expected
     )
-    run = compare(inputs, "slam", ["ekf"], "jcbb-hindsight")[0]
-    assert run.errors_online.names == OF.names
+    assert compare(inputs, "slam", ["ekf"], "jcbb-hindsight")[0].errors_online.names == OF.names
 
 
 def test_a_smoother_begun_anew_has_the_errors_of_all_its_stretches():

@@ -129,15 +129,13 @@ def test_ranges_to_beacons_whose_places_are_uncertain(name):
 def test_fixes_and_closures_beside_an_uncertain_map():
     """Kept poses lie behind the landmarks in the state."""
     log = named_log("mixed:0:sigma_map=0.1+frames=60")
-    runs = compare(log.inputs(labels=True), "localization", ["ekf", "ekf-invariant", "batch"])
-    for run in runs:
+    for run in compare(log.inputs(labels=True), "localization", ["ekf", "ekf-invariant", "batch"]):
         assert last_nees(run, log) < chi2.ppf(0.999, 3)
         assert run.final is None or run.total_nis is None or run.total_nis[0] < chi2.ppf(0.9999, run.total_nis[1])
 
 
 def test_errors_that_cannot_matter_are_left_out_and_a_notice_says_so():
-    log = named_log("arena:1:frames=30+sigma_map=0.0003")
-    inputs = log.inputs(labels=True)
+    inputs = named_log("arena:1:frames=30+sigma_map=0.0003").inputs(labels=True)
     assert inputs.map_effect < 0.03
     runs = compare(inputs, "localization", ["ekf", "batch"])
     exact = compare(replace(inputs, map=inputs.map.exact), "localization", ["ekf", "batch"])
@@ -160,8 +158,7 @@ def test_a_range_error_is_refused_beside_an_uncertain_map():
 
 def test_twins_draw_the_map_anew_about_the_smoothers():
     log = world(3, "frames=20")
-    inputs = log.inputs(labels=True)
-    batch = compare(inputs, "localization", ["ekf", "batch"])[-1]
+    batch = compare(log.inputs(labels=True), "localization", ["ekf", "batch"])[-1]
     source = source_of(log, batch, (), Setup())
     drawn, again, other = (twin(source, seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(drawn.truth.landmarks.xy, batch.map.xy)

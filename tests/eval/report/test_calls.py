@@ -43,8 +43,7 @@ def test_a_scenario_may_name_a_world_of_ones_own(tmp_path, monkeypatch):
     )
     text = 'about = "own"\nworld = "./mine.py:make"\n[estimators]\nekf = {}\n'
     (tmp_path / "own.toml").write_text(text)
-    scenario = load_scenario("own.toml")
-    np.testing.assert_array_equal(scenario.simulate(3).truth.pose, make(3).truth.pose)
+    np.testing.assert_array_equal(load_scenario("own.toml").simulate(3).truth.pose, make(3).truth.pose)
     (tmp_path / "own.toml").write_text(text.replace(":make", ":other"))
     with pytest.raises(UsageError, match="no 'other' in"):
         load_scenario("own.toml")
@@ -64,8 +63,7 @@ def test_files_are_scored_as_by_the_command(tmp_path):
         lines = (f"{t} {t} {0.1 * t * t + shift} 0 0 0 0 1\n" for t in range(9))
         (tmp_path / name).write_text("".join(lines))
     estimate, truth = tmp_path / "estimate.tum", tmp_path / "truth.tum"
-    found = slamref.score_files(estimate, truth)
-    assert found["rmse_position_m"] == pytest.approx(0.5)
+    assert slamref.score_files(estimate, truth)["rmse_position_m"] == pytest.approx(0.5)
     assert slamref.score_files(estimate, truth, align="se2")["rmse_position_m"] == pytest.approx(0.0, abs=1e-9)
     with pytest.raises(UsageError, match="alignment: unknown; known: cov, "):
         slamref.score_files(estimate, truth, alignment="se2")

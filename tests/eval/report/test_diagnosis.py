@@ -87,8 +87,7 @@ def test_a_length_below_a_centimetre_is_said_in_millimetres(value, text):
 def test_only_what_was_measured_is_a_fact_filters_first():
     apart = {"theirs": 1.0, "isam2": 2.0, "ekf-iterated": 3.0, "ekf": 4.0, "batch": math.nan}
     trust = replace(said(), real=replace(said().real, apart=apart))
-    found = diagnosis.facts_of(trust, POLAR)["apart"]
-    assert [(a["estimator"], a["filters"]) for a in found] == [
+    assert [(a["estimator"], a["filters"]) for a in diagnosis.facts_of(trust, POLAR)["apart"]] == [
         ("ekf", True), ("ekf-iterated", True), ("isam2", False), ("theirs", False),
     ]  # fmt: skip
 
@@ -173,7 +172,6 @@ def test_a_violated_assumption_and_a_difference_without_twins_are_told_in_full()
 def test_each_kind_of_finding_has_its_words():
     white = Finding(ESTIMATOR, "innovations", "ekf", 1.1)
     wrong = Finding(ASSOCIATIONS, "decisions", "ekf", 0.034)
-    alike = replace(TURN, other=("odometry_theta_time",))
     for f, text in (
         (white, "ekf's NIS is 1.10 times its expected"),
         (wrong, "3.4 % of the decisions of ekf are wrong pairings"),
@@ -188,7 +186,7 @@ def test_each_kind_of_finding_has_its_words():
         (replace(PAIRINGS, size=1), "observation fits another landmark"),
         (LINEAR, "its covariance is too small"),
         (replace(LINEAR, size=0.5), "its covariance is too large"),
-        (alike, "(or a drift of the odometry's heading)"),
+        (replace(TURN, other=("odometry_theta_time",)), "(or a drift of the odometry's heading)"),
     ):
         assert text in say("diagnosis#finding", f=explanations([f], POLAR)[0], terms=POLAR)
 
@@ -281,8 +279,7 @@ def test_points_noise_and_frames_have_their_own_words():
     assert phrase("z1_range", POINTS, -0.1, math.nan) == "observed distances grow 10.0 % too slowly"
     log = circle_log()
     used = Used(np.zeros(4, np.int64), LANDMARKS.xy[:1], np.array([0]))
-    sought = {e.name for e in effects(log.recorded, true_path(), used)}
-    assert sought <= set(COMMON)
+    assert {e.name for e in effects(log.recorded, true_path(), used)} <= set(COMMON)
     assert terms_of(log.recorded) == POLAR
     assert noise("z1", 0.2186).endswith("4.6 times too large")
     assert noise("z1", 1.34).endswith("1.34 times too small")
@@ -404,8 +401,7 @@ def test_the_terminal_has_a_line_for_each_source_of_the_filter_that_used_it():
     blank = dict.fromkeys(("nis_low", "nis_high"))
     smoother = GPS | blank | {"estimator": "batch", "phase": "final", "used": 100, "nis_mean": 16.0}
     loops = GPS | blank | {"source": "loops", "kind": "closure", "count": 4, "used": 0, "nis_mean": None, "fp": None}
-    found = [smoother, loops, GPS]
-    assert main_sources(found) == [GPS, loops]
+    assert main_sources([smoother, loops, GPS]) == [GPS, loops]
     assert source_lines([smoother, loops, GPS | {"fp": 2, "fn": 5}]) == [
         "gps (position): 95 of 100 accepted, NIS 0.970 [0.810, 1.21], 7 wrong decisions (ekf)",
         "loops (closure): 0 of 4 accepted (ekf)",
@@ -424,8 +420,7 @@ def estimate(frames, mean, sigma):
 @pytest.fixture(scope="module")
 def calibrated_trial():
     log = with_systematic(named_log("arena:1:frames=30+scale=-0.08"), ERRORS, Origin.INFERRED)
-    plain = with_systematic(log, None).inputs(labels=True)
-    ekf, batch = compare(plain, "localization", ("ekf", "batch"))
+    ekf, batch = compare(with_systematic(log, None).inputs(labels=True), "localization", ("ekf", "batch"))
     last = Systematics(ERRORS.names, np.tile([-0.081, 0.002], (30, 1)), np.tile([0.004, 0.049], (30, 1)))
     runs = (replace(ekf, errors_online=estimate(30, [-0.079, 0.001], [0.005, 0.05])), replace(batch, errors_final=last))
     return Trial(log, "localization", runs)

@@ -124,8 +124,7 @@ def test_a_landmark_that_begins_with_another_observation_is_written_with_its_num
 
 
 def test_landmarks_have_their_true_ids_and_what_was_seen_of_them(tmp_path):
-    table = pd.read_csv(written(tmp_path, run_with_error(OFF)) / "landmarks.csv")
-    (row,) = table.to_dict("records")
+    (row,) = pd.read_csv(written(tmp_path, run_with_error(OFF)) / "landmarks.csv").to_dict("records")
     assert (row["landmark"], row["true_id"], row["first_frame"], row["times_seen"]) == (0, 3, 0, 4)
     assert (row["x"], row["y"], row["c_xx"], row["c_xy"], row["c_yy"]) == pytest.approx((6.1, 0.1, 0.04, 0.0, 0.04))
     assert pd.isna(row["ambiguous"])

@@ -69,8 +69,7 @@ def test_a_violated_assumption_takes_the_tick_unless_the_solution_itself_is_brok
     mark = trust_mark(facts(trust=found))
     assert (mark.word, mark.tone) == ("path: smoother", "fair")
     assert "1.90° ± 0.11° too far left" in mark.note
-    sound = replace(found, blame=Blame(NOTHING, (), (), 40, 0.4))
-    assert trust_mark(facts(trust=sound)).tone == "good"
+    assert trust_mark(facts(trust=replace(found, blame=Blame(NOTHING, (), (), 40, 0.4)))).tone == "good"
     off = Finding(NOISE, "systematic", "z2_constant", 0.0332, 0.002, gain=100.0)
     blame = Blame(UNTELLABLE, (off,), (("batch", "s"),), 40, 0.01)
     found = Trust("blind", "slam", "known", Sample({}), (), (), blame)
@@ -145,8 +144,7 @@ def test_a_cause_has_25_words_on_the_terminal_with_its_size_and_the_next_step(fo
         blame = Blame(found.cause, (tied,), (("batch", "s"),), 40, 0.01)
         for known in (log, replace(log, truth=LOG.truth)):
             line = trust_line(facts(log=known, trust=Trust("blind", "slam", "known", Sample({}), (), (), blame)))
-            words = [word for word in line.split(": ", 1)[1].split() if re.search(r"\w", word)]
-            assert len(words) <= 25, line
+            assert len([word for word in line.split(": ", 1)[1].split() if re.search(r"\w", word)]) <= 25, line
             assert "next: " in line
             assert found.kind not in ("systematic", "sigma") or " ± " in line
             assert (" (or " in line) == bool(tied.other), line
@@ -297,8 +295,7 @@ def test_swapped_map_rows_are_the_first_objection_and_no_tick_stands_there():
     facts, _ = judged(swapped(open_log("arena:3")))
     assert facts.objections[0].objection is Objection.MAP
     assert facts.tone != "good"
-    mark = trust_mark(facts)
-    assert mark.note.startswith("map rows ")
+    assert trust_mark(facts).note.startswith("map rows ")
     assert "look swapped" in trust_line(facts)
 
 
@@ -331,8 +328,7 @@ def test_the_first_screen_is_short_names_the_cause_without_truth_and_points_to_e
     words += ["--task", "slam", "--association", "known", "--jobs", "1", "--no-plots", "--out", str(out), "-q"]
     assert main(words) == 0
     page, text = ((out / f"report.{kind}").read_text(encoding="utf-8") for kind in ("html", "md"))
-    above = TAGS.sub("", page[page.index("<body>") : page.index("<table>")])
-    assert 100 < len(above) <= 900
+    assert 100 < len(TAGS.sub("", page[page.index("<body>") : page.index("<table>")])) <= 900
     row = next(line for line in text[:4000].splitlines() if line.startswith("| [blind, slam]"))
     assert re.search(r"\*\*(cause: (odometry|sensor|estimator|associations)|path: smoother)\*\*", row)
     assert "## Diagnosis without ground truth" in text[:4000]
@@ -348,8 +344,7 @@ def test_a_contradiction_of_the_input_is_the_cause_where_the_smoother_is_broken(
     turned = replace(log.recorded, observations=replace(o, z=np.column_stack([o.z[:, 0], o.z[:, 1] + 0.5 * math.pi])))
     broken = Trust(log.name, "slam", "known", Sample({}, {"batch": "diverged"}), (), ())
     for recorded, word in ((log.recorded, UNTELLABLE), (turned, CONTRADICTED)):
-        own = replace(log, recorded=recorded, truth=Truth())
-        assert facts(log=own, trust=broken).cause.word == word
+        assert facts(log=replace(log, recorded=recorded, truth=Truth()), trust=broken).cause.word == word
 
 
 def test_residuals_of_a_component_without_noise_are_no_hint():

@@ -215,8 +215,7 @@ def test_what_was_handed_in_is_shown_with_some_of_ours(handed_in):
 
 def test_every_picture_takes_its_own_stamps_and_truth(handed_in):
     fig = error_figure(ARENA, for_panels(handed_in.runs))
-    titles = [ax.get_title() for ax in fig.axes[:4]]
-    assert "b, aligned (online)" in titles
+    assert "b, aligned (online)" in [ax.get_title() for ax in fig.axes[:4]]
     line = next(ax for ax in fig.axes if ax.get_title() == "a (final)").lines[-1]
     assert len(line.get_xdata()) == len(ARENA.recorded.time[:-1:3])
     assert nees_figure(ARENA, for_panels(handed_in.runs)).axes
@@ -246,6 +245,5 @@ def test_results_in_space_have_a_file(tmp_path):
     truth, estimate = (read_path(str(tmp_path / f"{name}.tum")) for name in ("truth", "estimate"))
     log = truth_log("truth", truth)
     run = given_run("a", "slam", {"final": estimate}, log, TruePath.of(truth), align="yaw")
-    handed_in = Trial(log, "slam", (run,))
-    rows = {row["quantity"]: row["value"] for row in space_rows([handed_in])}
+    rows = {row["quantity"]: row["value"] for row in space_rows([Trial(log, "slam", (run,))])}
     assert rows["rmse_position_3d_m"] == pytest.approx(rows["rmse_position_3d_yaw_m"])

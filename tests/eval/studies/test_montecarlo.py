@@ -80,8 +80,7 @@ def test_diverged_runs_are_counted_not_averaged_and_fail_what_is_declared():
     judged = montecarlo.judge(study)
     assert all(j.diverged == 2 and j.verdict.runs == 58 for j in judged)
     assert len(montecarlo.failed_declarations(judged)) == 3
-    table = montecarlo.consistency_table(judged)
-    assert table["diverged"].tolist() == [2, 2, 2]
+    assert montecarlo.consistency_table(judged)["diverged"].tolist() == [2, 2, 2]
     assert len(study.good(KEY)) == 58
     assert study.failures() == [(KEY, 0, "frame 3: lost", False), (KEY, 1, "frame 3: lost", False)]
 
@@ -122,8 +121,7 @@ def test_wheels_that_err_spoil_a_plain_filter_and_not_one_that_knows_that_they_m
     off, fine = ([s.means["pose"] for s in study.samples[KEY]] for study in (plain, calibrated))
     assert np.mean(off) > 4.5
     assert 2.4 < np.mean(fine) < 3.6
-    inside = [s.ends["error_scale"] < 9.0 for s in calibrated.samples[KEY]]
-    assert all(inside)
+    assert all(s.ends["error_scale"] < 9.0 for s in calibrated.samples[KEY])
     assert not any(name.startswith("error_") for s in plain.samples[KEY] for name in s.ends)
     names = [j.quantity for j in montecarlo.judge(calibrated) if j.quantity.startswith("covers_")]
     assert names == [f"covers_{n}" for n in ("scale", "curvature", "left", "right", "drift")]

@@ -30,8 +30,7 @@ def test_the_average_of_a_nees_follows_the_definition_of_its_source():
 
 
 def test_standard_errors_are_those_of_many_repetitions():
-    rng = np.random.default_rng(0)
-    squares = rng.gamma(2.0, 3.0, (4000, 60))
+    squares = np.random.default_rng(0).gamma(2.0, 3.0, (4000, 60))
     means, roots = [mean_of(x) for x in squares], [rms_of(x, 2.0) for x in squares]
     assert np.mean([m.se for m in means]) == pytest.approx(np.std([m.value for m in means]), rel=0.03)
     assert np.mean([r.se for r in roots]) == pytest.approx(np.std([r.value for r in roots]), rel=0.03)

@@ -67,8 +67,7 @@ def blamed(log):
     """The best explanation of a log, and whom the first page names."""
     inputs, run = solved(log)
     run = with_all_sources(run, inputs)
-    used = residuals.used_by(run, inputs)
-    best = _best(evidence_of(inputs, run.final.pose, used), run, [])
+    best = _best(evidence_of(inputs, run.final.pose, residuals.used_by(run, inputs)), run, [])
     return None if best is None else (best[0][0], side_of(best[0][0]))
 
 

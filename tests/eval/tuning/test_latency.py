@@ -87,8 +87,7 @@ def test_moved_increments_compose_to_the_whole_way():
 
 def test_a_cut_at_the_latency_itself_is_the_log_cut_anew(tmp_path):
     folder = stamped_folder(tmp_path / "stamped", Stamped())
-    inputs = load_folder(folder).inputs(labels=True)
-    model = make_model(inputs, read_odometry(folder), ("latency",))
+    model = make_model(load_folder(folder).inputs(labels=True), read_odometry(folder), ("latency",))
     theta = vector(model, {"latency": 0.03})
     anew, same = apply(model, theta).increments.mean, apply(model, theta, cut=0.03).increments.mean
     assert np.array_equal(anew, same)

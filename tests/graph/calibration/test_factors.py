@@ -59,8 +59,7 @@ def test_a_linear_factor_is_its_residual_counted_from_its_point(rows):
 
 
 def test_a_drift_is_forgotten_over_its_length():
-    errors = errors_of(to_estimate("scale", "drift"), POLAR, Prior(START, P0))
-    factor = knot_factor(errors, 3, 2.0)
+    factor = knot_factor(errors_of(to_estimate("scale", "drift"), POLAR, Prior(START, P0)), 3, 2.0)
     assert list(factor.keys()) == [drift_key(3), drift_key(4)]
     values, stays = gtsam.Values(), np.exp(-2.0 / 8.0)  # its length is 8 m
     values.insert(drift_key(3), np.array([1.5]))
@@ -172,8 +171,7 @@ def test_in_a_known_map_that_is_expected_which_is_in_view_whatever_the_range_err
     """There all is scaled by the range error: the robot is looked for in the world, and so far around it."""
     what = to_estimate("curvature", "range", "bearing")
     inputs, decisions, *_ = erring(sensor, "localization", what, frames=24, noise=0.0, size=-1.0)
-    rng = np.random.default_rng(3)
-    everywhere = np.vstack([inputs.map.xy, rng.uniform(-40.0, 40.0, (400, 2))])
+    everywhere = np.vstack([inputs.map.xy, np.random.default_rng(3).uniform(-40.0, 40.0, (400, 2))])
     inputs = replace(inputs, map=LandmarkMap(np.arange(len(everywhere)), everywhere))
     s, *_ = drive(inputs, decisions, smoother=calibrated(inputs))
     share = 1.0 + s.errors[0][1]
@@ -209,8 +207,7 @@ def test_landmarks_go_and_are_joined_and_a_motion_is_doubted_with_errors_as_with
     assert added[0, 0] > 0.9
     elsewhere = s.estimate().mean + [0.3, -0.2, 0.1]
     e = s.expect(inputs.frame_observations(len(inputs) - 1))
-    there = e.elsewhere(s.estimate().mean)
-    np.testing.assert_allclose(there.z_hat, e.z_hat, atol=1e-9)
+    np.testing.assert_allclose(e.elsewhere(s.estimate().mean).z_hat, e.z_hat, atol=1e-9)
     done = s.update(inputs.frame_observations(len(inputs) - 1), np.full(len(e.z), DISCARD), at=elsewhere)
     assert not done.used.any()
 

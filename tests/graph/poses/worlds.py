@@ -62,8 +62,7 @@ class World(NamedTuple):
 
     def with_loops(self, key1, key2, relative):
         """More loops behind these, with the first one's covariance."""
-        C = np.tile(self.loop_covariance[:1], (len(key1), 1, 1))
-        more = zip(self[3:], (key1, key2, relative, C))
+        more = zip(self[3:], (key1, key2, relative, np.tile(self.loop_covariance[:1], (len(key1), 1, 1))))
         return World(*self[:3], *(np.concatenate(both) for both in more))
 
     def rmse(self, pose):
@@ -100,8 +99,7 @@ def random_false(world, rng, count):
     """Loops between keys anywhere, as if the two places were one."""
     keys = len(world.truth)
     a = rng.integers(0, keys - 30, count)
-    b = np.array([rng.integers(i + 20, keys) for i in a])
-    return a, b, rng.normal(0, [0.5, 0.5, 0.3], (count, 3))
+    return a, np.array([rng.integers(i + 20, keys) for i in a]), rng.normal(0, [0.5, 0.5, 0.3], (count, 3))
 
 
 def structured_false(world, rng, count, group=5, apart=8.0):

@@ -29,8 +29,7 @@ def drive(rng, poses, landmarks, observations, sides=1):
     A[1:poses] = np.concatenate([W, -W @ (np.eye(3) + 0.1 * A[1:poses, :, 3:])], axis=2)
     A[poses:, 2], b[poses:, 2], A[poses:, :, 5] = 0.0, 0.0, 0.0
     A[np.array(variable)[:, 1] < 0, :, 3:] = 0.0
-    dim = np.repeat([3, 2], [poses, landmarks])
-    return Rows(np.array(variable), A, b, np.array(count), dim)
+    return Rows(np.array(variable), A, b, np.array(count), np.repeat([3, 2], [poses, landmarks]))
 
 
 def dense(rows):

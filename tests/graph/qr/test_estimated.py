@@ -108,8 +108,7 @@ def test_estimated_errors_are_profiled_out_with_their_priors(task, names, sensor
     score = systematic(inputs, number, path, xy, motion, readings, found.systematic)
     information = both.information[:p, :p] - across @ both.information[p:, :p]
     scale = np.sqrt(np.diag(information))
-    off = (score.information - information) / np.outer(scale, scale)
-    assert np.abs(off).max() < 1e-5
+    assert np.abs((score.information - information) / np.outer(scale, scale)).max() < 1e-5
     np.testing.assert_allclose(score.score / scale, (both.score[:p] - across @ slope) / scale, atol=1e-4)
 
 
@@ -125,8 +124,7 @@ def test_an_error_that_was_estimated_with_a_wide_prior_is_not_found_again(task):
     def sigmas(inputs):
         found = smooth(inputs, decisions, created, start)
         xy = inputs.map.xy if task == "localization" else found.map.xy
-        path = found.trajectory.pose
-        return systematic(inputs, number, path, xy, motion, readings, found.systematic).sigmas
+        return systematic(inputs, number, found.trajectory.pose, xy, motion, readings, found.systematic).sigmas
 
     assert abs(sigmas(replace(inputs, systematic=None))[0]) > 4.0
     assert abs(sigmas(inputs)[0]) < 1.0

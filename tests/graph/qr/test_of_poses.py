@@ -17,8 +17,7 @@ NAME = "mixed:2:frames=14+closure_gap=3+closure_radius=9+closure_period=2+compas
 
 @pytest.fixture(scope="module", params=["localization", "slam"])
 def solved(request):
-    log = open_log(NAME)
-    inputs = log.inputs(labels=True)
+    inputs = open_log(NAME).inputs(labels=True)
     inputs = inputs.without_map() if request.param == "slam" else inputs
     (run,) = compare(inputs, request.param, ("batch",), "known")
     return inputs, run.final.pose, residuals.used_by(run, inputs)
@@ -104,8 +103,7 @@ def test_evidence_differs_between_noises_as_that_of_dense_least_squares_does(sol
         return -0.5 * left @ left - 0.5 * np.linalg.slogdet(J.T @ J)[1] - 0.5 * noise
 
     def own(given):
-        of_poses = effects.poses_of(given, used)
-        return evidence(given, used.number, path, used.landmarks, of_poses)
+        return evidence(given, used.number, path, used.landmarks, effects.poses_of(given, used))
 
     fixes, closures = inputs.fixes, inputs.closures
     for other in (

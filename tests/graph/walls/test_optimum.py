@@ -239,8 +239,7 @@ def test_claimed_covariances_are_those_of_the_errors():
         decisions, created = known_decisions(inputs)
         s, pose, P, _ = drive(inputs, decisions)
         means["isam2"].append(nees(pose, P, truth, "pose").mean())
-        result = smooth(inputs, decisions, created, Start(pose, s.landmarks().xy))
-        path = result.trajectory
+        path = smooth(inputs, decisions, created, Start(pose, s.landmarks().xy)).trajectory
         means["batch"].append(nees(path.pose, path.covariance, truth, "pose").mean())
         _, pose, P, _ = drive(inputs, decisions, smoother=lagged(inputs, 20.0))
         means["fixed lag"].append(nees(pose, P, truth, "pose").mean())

@@ -124,8 +124,7 @@ def drive_in_a_room(seed, *, seconds=300, sensor=None, R=R_ROOM, every=4, reach=
     n = seconds * RATE
     at = np.linspace(0.0, 0.0095 * n / RATE * 2 * np.pi, n) + 0.3
     xy = np.stack([5.0 + 4.2 * np.cos(at), 3.0 + 2.3 * np.sin(at)], 1)
-    heading = np.arctan2(2.3 * np.cos(at), -4.2 * np.sin(at))
-    truth = np.column_stack([xy, heading])
+    truth = np.column_stack([xy, np.arctan2(2.3 * np.cos(at), -4.2 * np.sin(at))])
     way = se2.between(truth[:-1], truth[1:])
     covariance = np.zeros((n, 3, 3))
     mean = np.zeros((n, 3))

@@ -66,8 +66,7 @@ def stored() -> list[Named]:
 
 def store(names: Sequence[Named]) -> None:
     with SET.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerows([Named._fields, *sorted(names)])
+        csv.writer(file, lineterminator="\n").writerows([Named._fields, *sorted(names)])
 
 
 def is_there(test: str) -> bool:
@@ -152,8 +151,7 @@ def main() -> int:
         _say(f"gone {name.path}: {name.line}: {name.old} -> {name.new}")
     _say(f"{len(names) - missed} of {len(names)} found; the lines of {len(gone)} are gone")
     if options.store:
-        known = {name[:5]: name for name in stored()}
-        store(list((known | {name[:5]: name for name in results}).values()))
+        store(list(({name[:5]: name for name in stored()} | {name[:5]: name for name in results}).values()))
     return 1 if missed and not (options.draw or options.missed) else 0
 
 

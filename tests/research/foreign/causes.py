@@ -170,7 +170,6 @@ def report(rows: Sequence[Row]) -> str:
 
 def study(out: Path, wanted: Sequence[Case], twins: int, jobs: int) -> None:
     """Run what is missing, then print the tables, and write them beside the rows."""
-    rows = done_all(wanted, one, Row, out / f"causes-{twins}.csv", jobs, (twins,))
-    text = report(rows)
+    text = report(done_all(wanted, one, Row, out / f"causes-{twins}.csv", jobs, (twins,)))
     (out / f"causes-{twins}.md").write_text(text + "\n", encoding="utf-8")
     print(text, flush=True)

@@ -181,8 +181,7 @@ def noise(fault: str | None, size: float, frame: IntArray, who: IntArray, frames
         plain[off] += rng.uniform(-20.0, 20.0, (int(off.sum()), 2))
     elif fault == "ar1":
         for landmark in np.unique(who):
-            rows = np.flatnonzero(who == landmark)
-            for before, now in pairwise(rows):
+            for before, now in pairwise(np.flatnonzero(who == landmark)):
                 a = size ** float(frame[now] - frame[before])
                 plain[now] = a * plain[before] + math.sqrt(1.0 - a * a) * plain[now]
     return plain

@@ -100,8 +100,7 @@ def _loop(rng: Generator) -> Array:
     u, (a, b) = _parameter(1.3), rng.uniform(0.0, 2.0 * math.pi, 2)
     r = 1.0 + 0.22 * np.sin(2.0 * u + a) + 0.1 * np.sin(3.0 * u + b)
     xy = r[:, None] * np.stack([np.cos(u), np.sin(u)], 1)
-    once = xy[: int(DENSE / 1.3)]
-    return np.asarray(xy * 1000.0 / np.hypot(*np.diff(once, axis=0).T).sum())
+    return np.asarray(xy * 1000.0 / np.hypot(*np.diff(xy[: int(DENSE / 1.3)], axis=0).T).sum())
 
 
 def _three_to_two(rng: Generator) -> Array:
@@ -184,8 +183,7 @@ class Drive:
 
     def __init__(self, shape: Shape, rng: Generator) -> None:
         xy = shape.curve(rng)
-        step = np.hypot(*np.diff(xy, axis=0).T)
-        self.s = np.concatenate([[0.0], np.cumsum(step)])
+        self.s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
         self.xy = xy
         self.heading = np.unwrap(np.arctan2(*np.gradient(xy, axis=0).T[::-1]))
         self.speed = shape.speed * rng.uniform(0.9, 1.1)

@@ -118,8 +118,7 @@ def test_faults_of_motion_have_their_size():
     motion = sound.recorded.increments.mean
     turned = make("warehouse", 5, "gyro-bias").recorded.increments.mean[1:, 2] - motion[1:, 2]
     assert np.degrees(turned) == pytest.approx(0.5 * np.diff(sound.recorded.time))
-    path = make("warehouse", 5, "kidnapping").truth.pose
-    step = np.hypot(*np.diff(path[:, :2], axis=0).T)
+    step = np.hypot(*np.diff(make("warehouse", 5, "kidnapping").truth.pose[:, :2], axis=0).T)
     assert np.sum(step > 1.0) == 1
     assert step.max() == pytest.approx(1.5, abs=0.4)
     slip = make("warehouse", 5, "lateral-slip").truth.pose

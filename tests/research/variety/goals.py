@@ -100,8 +100,7 @@ def table(rows: Sequence[Row]) -> list[str]:
         f" hindsight | landmarks ± {NEAR:.0%} | `jcbb` |",
         "|---|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
-    kinds = list(dict.fromkeys(w.jcbb.world for w in worlds))
-    for kind in [*kinds, "all"]:
+    for kind in [*list(dict.fromkeys(w.jcbb.world for w in worlds)), "all"]:
         of = [w for w in worlds if kind in (w.jcbb.world, "all")]
         rmse, fp, near = goals(of)
         lines.append(

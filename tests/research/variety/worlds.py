@@ -179,8 +179,7 @@ def log_of(drawn: Drawn) -> Log:
     assert truth.pose is not None
     assert truth.landmarks is not None
     assert truth.landmark_of is not None
-    sigma = sensor_sigma(drawn.readings, r.sensor)
-    xy = crowded(truth.landmarks.xy, drawn.crowding, sigma, map_rng)
+    xy = crowded(truth.landmarks.xy, drawn.crowding, sensor_sigma(drawn.readings, r.sensor), map_rng)
     frame, polar, who = _read(r.sensor, truth.pose, xy, drawn.readings, sensor_rng)
     people = truth.landmark_of < 0 if drawn.name.startswith("corridor") else np.zeros(len(truth.landmark_of), bool)
     parts = [

@@ -40,15 +40,13 @@ def solve(parts, skip=None):
     """Step, covariance (pseudo-inverse) and a basis of what is not determined; columns scaled."""
     A = np.vstack([np.sqrt(w) * A for i, (A, _, w) in enumerate(parts) if i != skip])
     r = np.concatenate([np.sqrt(w) * r for i, (_, r, w) in enumerate(parts) if i != skip])
-    whole = np.vstack([np.sqrt(w) * A for A, _, w in parts])
-    norm = np.sqrt((whole**2).sum(0))
+    norm = np.sqrt((np.vstack([np.sqrt(w) * A for A, _, w in parts]) ** 2).sum(0))
     norm[norm == 0.0] = 1.0
     U, s, Vt = np.linalg.svd(A / norm, full_matrices=True)
     k = int((s > RANK * s[0]).sum())
     W = Vt[:k].T / s[:k]
     x = -(W @ (U[:, :k].T @ r)) / norm
-    C = (W @ W.T) / norm[:, None] / norm
-    return x, C, Vt[k:].T / norm[:, None], k
+    return x, (W @ W.T) / norm[:, None] / norm, Vt[k:].T / norm[:, None], k
 
 
 def deleted(parts, i):

@@ -177,8 +177,7 @@ def test_written_with_other_information(written):
     again = read_graph_file(pathlib.Path(written(text)))
     assert len(again.edges) == 139
     assert np.allclose(again.edges[3].information, np.diag([1.0, 2.0, 3.0]))
-    toro = pathlib.Path(gtsam.findExampleDataFile("w100.graph"))
-    file = read_graph_file(toro)
+    file = read_graph_file(pathlib.Path(gtsam.findExampleDataFile("w100.graph")))
     stated = np.array([[4, 1, 0.5], [1, 5, 0.2], [0.5, 0.2, 6]])
     assert np.allclose(
         read_graph_file(pathlib.Path(written(with_information(file, {0: stated}, set())))).edges[0].information, stated
@@ -210,8 +209,7 @@ def test_text_of_isam_states_covariances_as_gtsam_reads_it(written):
     again = written(with_information(file, {0: np.diag([4.0, 5.0, 8.0])}, set()), "again.txt")
     assert np.allclose(read_graph_file(pathlib.Path(again)).edges[0].information, np.diag([4.0, 5.0, 8.0]))
     seen = written("ODOMETRY 0 1 1 0 0 1 0 0 1 0 1\nLANDMARK 0 7 2 1 0.04 0 0.25\nLANDMARK 1 7 1 1 0.04 0 0.25\n")
-    edge = read_graph_file(pathlib.Path(seen)).edges[1]
-    assert np.allclose(edge.information, np.diag([25.0, 4.0]))
+    assert np.allclose(read_graph_file(pathlib.Path(seen)).edges[1].information, np.diag([25.0, 4.0]))
 
 
 def test_values_without_vertices_follow_the_edges(written):
@@ -241,8 +239,7 @@ def test_indeterminate_variables_and_duplicates_are_named():
 
 def test_optimized_leaves_what_is_not_determined(written):
     graph, values, _ = build(read_graph_file(pathlib.Path(written(grid()))))
-    better = optimized(graph, values)
-    assert graph.error(better) < graph.error(values)
+    assert graph.error(optimized(graph, values)) < graph.error(values)
 
 
 @pytest.mark.slow
@@ -251,8 +248,7 @@ def test_a_cure_is_applied(written, tmp_path, capsys):
     out = tmp_path / "better.g2o"
     assert main([path, "--draws", "0", "--rescale", str(out)]) == 1
     assert "chi2_per_freedom" in capsys.readouterr().out
-    table = page.cured(page.opened(path, None, draws=0), out, draws=0)
-    before, after = table.to_dict("records")
+    before, after = page.cured(page.opened(path, None, draws=0), out, draws=0).to_dict("records")
     assert after["left_out"] >= 1
     assert out.read_text().count("# left out: EDGE_SE2") == after["left_out"]
     assert before["chi2_per_freedom"] > 1.3

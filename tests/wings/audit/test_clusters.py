@@ -50,8 +50,7 @@ def test_the_test_of_a_cluster_is_that_of_one_error_of_the_later_place():
     parts = oracle.rows(graph, values)
     A = np.vstack([parts[i][0] for i in c.factors])
     r = np.concatenate([parts[i][1] for i in c.factors])
-    others = [p for i, p in enumerate(parts) if i not in c.factors]
-    x, C, _, _ = oracle.solve(others)
+    x, C, _, _ = oracle.solve([p for i, p in enumerate(parts) if i not in c.factors])
     e, S = r + A @ x, np.eye(len(r)) + A @ C @ A.T
     later, place = [max(a.keys[i]) for i in c.factors], sorted(graph.keyVector())
     B = np.vstack([parts[i][0][:, 3 * place.index(b) :][:, :3] @ values.atPose2(b).inverse().AdjointMap()
@@ -78,5 +77,4 @@ def test_loops_that_agree_are_wrong_rather_than_odometry_and_where_no_single_one
     """Seen: steps of odometry named, twice; nothing named, as a cluster alone was rejected."""
     s = research.STRUCTURES[structure](150, 0)
     drawn = research.spoilt(s, research.Case(research.AGREE, 3, strength), np.random.default_rng([seed, 3]))
-    a = examined(drawn.graph, optimized(drawn.graph, drawn.path), draws=0)
-    assert a.wrong.tolist() == drawn.false
+    assert examined(drawn.graph, optimized(drawn.graph, drawn.path), draws=0).wrong.tolist() == drawn.false

@@ -49,8 +49,7 @@ def test_the_noise_of_odometry_is_put_down_to_odometry():
         assert a.kinds.names == ("odometry", "loop")
         found.append(a.by_kind.component)
         assert np.all(np.abs(a.by_kind.component - [1.69, 1.0]) < 4 * a.by_kind.error)
-    mean = np.mean(found, 0)
-    assert np.abs(mean - [1.69, 1.0]).max() < 0.15
+    assert np.abs(np.mean(found, 0) - [1.69, 1.0]).max() < 0.15
 
 
 def test_components_of_axes_are_apart():
@@ -67,8 +66,7 @@ def test_standard_errors_are_those_of_many_graphs(many):
     found = [examined(*ring(np.random.default_rng(seed)), draws=0).by_kind for seed in range(many)]
     z = (np.array([c.component for c in found]) - 1.0) / np.array([c.error for c in found])
     assert 0.75 < z.std() < 1.3
-    p = np.concatenate([np.exp(c.log_p) for c in found])
-    assert kstest(p, "uniform").pvalue > 1e-3
+    assert kstest(np.concatenate([np.exp(c.log_p) for c in found]), "uniform").pvalue > 1e-3
 
 
 def test_p_values_of_draws_and_of_holm_agree_on_the_least():

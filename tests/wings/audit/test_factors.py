@@ -21,8 +21,7 @@ def examined(graph, values):
     system = linearize(graph, values)
     f = factorize(system, ordering(system))
     seen = directions(f)
-    metres = [np.array(METRES.get(int(d), []), int) for d in system.dim]
-    return system, f, seen, examine(f, seen, metres)
+    return system, f, seen, examine(f, seen, [np.array(METRES.get(int(d), []), int) for d in system.dim])
 
 
 def check(graph, values):
@@ -94,8 +93,7 @@ def test_influence_is_that_of_a_solution_without_the_factor():
     for i in range(graph.size()):
         x, _, N, _ = oracle.solve(parts, i)
         if not N.shape[1]:
-            moved = np.hypot(*(x.reshape(-1, 3) - x0)[:, :2].T).max()
-            assert t.moved[i] == pytest.approx(moved, rel=1e-6)
+            assert t.moved[i] == pytest.approx(np.hypot(*(x.reshape(-1, 3) - x0)[:, :2].T).max(), rel=1e-6)
 
 
 def test_a_chain_without_loops_checks_nothing():
@@ -170,8 +168,7 @@ def test_a_factor_that_its_robust_noise_ignores_is_tested_with_its_stated_noise(
     _, _, _, t = examined(graph, values)
     _, _, _, without = examined(plain, values)
     assert np.allclose(t.deleted[:9], without.deleted, atol=1e-6)
-    parts = oracle.rows(graph, values)
-    assert t.deleted[9] == pytest.approx(oracle.deleted(parts, 9)[0], rel=1e-6)
+    assert t.deleted[9] == pytest.approx(oracle.deleted(oracle.rows(graph, values), 9)[0], rel=1e-6)
     assert t.log_p[9] < np.log(1e-20)
 
 
@@ -189,5 +186,4 @@ def test_a_missed_error_moves_its_own_poses_as_stated():
     e[3 * i : 3 * i + 3] = push
     x = np.zeros(A.shape[1])
     x[keep] = np.linalg.lstsq(A[:, keep], e, rcond=None)[0]
-    own = x.reshape(-1, 3)[g.variables[i], :2]
-    assert t.missed[i] == pytest.approx(np.hypot(*own.T).max(), rel=1e-6)
+    assert t.missed[i] == pytest.approx(np.hypot(*x.reshape(-1, 3)[g.variables[i], :2].T).max(), rel=1e-6)

@@ -227,16 +227,14 @@ def test_a_picture_of_which_only_a_part_can_be_seen_has_no_certain_corners(textu
     u, v = np.rint(projected(truth)[0]).astype(int)
     shown = np.zeros((HEIGHT, WIDTH, 1), bool)
     shown[v : v + 125, u : u + 110] = True
-    result = sizeless.detect(np.where(shown, scene.rgb, wall().rgb))
-    assert reason(result, 0) == UNCERTAIN
+    assert reason(sizeless.detect(np.where(shown, scene.rgb, wall().rgb)), 0) == UNCERTAIN
 
 
 def test_a_picture_whose_pieces_are_shuffled_is_refused(textures, sizeless):
     pieces = [tile for row in np.split(textures[0], 6) for tile in np.split(row, 6, axis=1)]
     order = np.random.default_rng(0).permutation(36)
     shuffled = np.vstack([np.hstack([pieces[i] for i in row]) for row in order.reshape(6, 6)])
-    result = sizeless.detect(hang(wall(), shuffled, hung(0.8)).rgb)
-    assert found(result) == []
+    assert found(sizeless.detect(hang(wall(), shuffled, hung(0.8)).rgb)) == []
 
 
 def test_a_glimpse_of_a_picture_is_not_a_sight_of_it(textures, sizeless):
@@ -270,8 +268,7 @@ def test_a_hole_at_a_corner_is_bridged_if_small_and_refused_if_large(textures, d
 @pytest.mark.parametrize("void", [np.nan, 0.0])
 def test_without_any_valid_stereo_point_the_picture_is_refused(textures, detector, void):
     scene = hang(wall(), textures[0], hung(1.5))
-    result = detector.detect(scene.rgb, np.full_like(scene.xyz, void))
-    assert reason(result, 0) == checks.NO_DEPTH
+    assert reason(detector.detect(scene.rgb, np.full_like(scene.xyz, void)), 0) == checks.NO_DEPTH
 
 
 def test_something_in_front_of_a_corner_is_noticed(textures, detector):
@@ -354,8 +351,7 @@ def test_refinement_finds_the_exact_homography_despite_wrong_pairs():
     seen = features.project(truth, place)
     seen[:10] += 8.0
     target = features.Features(seen, np.full(60, 1.5), source.descriptor)
-    start = truth + np.array([[0, 0, 0.5], [0, 0, -0.5], [0, 0, 0]])
-    fit = features.refine(start, source, target)
+    fit = features.refine(truth + np.array([[0, 0, 0.5], [0, 0, -0.5], [0, 0, 0]]), source, target)
     np.testing.assert_allclose(fit.H, truth, rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(fit.inlier, np.arange(60) >= 10)
 

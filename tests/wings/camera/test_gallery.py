@@ -51,8 +51,7 @@ class TestTheWorld:
         assert len(corners) == pictures
         half = 0.5 * np.array([g.room_length, g.room_width])
         for c in corners:
-            on = np.isclose(np.abs(c[:, :2]), half).all(axis=0)
-            assert on.sum() == 1
+            assert np.isclose(np.abs(c[:, :2]), half).all(axis=0).sum() == 1
             assert np.linalg.norm(c[1] - c[0]) == pytest.approx(g.picture_width)
             assert np.array_equal(c[0, :2], c[3, :2])
             assert np.array_equal(c[1, :2], c[2, :2])

@@ -29,8 +29,7 @@ def sight(pose, picture):
     """Pixels (4, 2) and points (4, 3) of a picture from a pose, without noise."""
     sensor = RelativePoint(rotation=SETUP.rotation, translation=SETUP.translation)
     plan = sensor.predict(np.asarray(pose, float), CORNERS[picture])
-    y = np.array([-HEIGHT, -HEIGHT, HEIGHT, HEIGHT])
-    points = np.stack([plan[:, 0], y, plan[:, 1]], axis=1)
+    points = np.stack([plan[:, 0], np.array([-HEIGHT, -HEIGHT, HEIGHT, HEIGHT]), plan[:, 1]], axis=1)
     return FOCAL * points[:, :2] / points[:, 2:] + CENTRE, points
 
 
@@ -113,8 +112,7 @@ def test_a_picture_taken_for_another_is_a_wrong_pairing():
     in_view = InView(found.frame, found.picture, found.pixels)
     assert true_pictures(found, in_view).tolist() == found.picture.tolist()
     swapped = replace(found, picture=np.where(np.arange(12) == 4, 1, found.picture))
-    shown = true_pictures(swapped, in_view)
-    assert shown[4] == 0
+    assert true_pictures(swapped, in_view)[4] == 0
     log = log_of(SETUP, swapped, "x", pose=np.zeros((6, 3)), in_view=in_view)
     for setup, wrong in ((Setup(gate_known=None), 4), (Setup(), 0)):  # by itself the gate leaves its corners out
         (run,) = compare(log.inputs(labels=True), "localization", ["ekf"], setup=setup)

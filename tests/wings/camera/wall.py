@@ -76,8 +76,7 @@ def hang(scene: Scene, picture: np.ndarray, corners: np.ndarray, seed: int = 0) 
     rays = scene.xyz.astype(float) / scene.xyz[..., 2:]
     disparity = 60.0 * (rays @ normal) / (normal @ corners[0])  # px, at a baseline of 60 / FOCAL m
     disparity += rng.normal(0, 0.2, disparity.shape)
-    plane = rays * (60.0 / disparity)[..., None]
-    xyz = np.where(share > 0.5, plane, scene.xyz).astype(np.float32)
+    xyz = np.where(share > 0.5, rays * (60.0 / disparity)[..., None], scene.xyz).astype(np.float32)
     return Scene(np.clip(np.rint(rgb), 0, 255).astype(np.uint8), xyz)
 
 

@@ -132,14 +132,12 @@ def test_intersection_is_conservative_for_every_correlation(seed, share):
 
 @pytest.mark.parametrize("task", ["localization", "slam"])
 def test_smoother_and_filter_agree_with_the_truth_as_they_claim(task):
-    logs = simulate_all(Team(robots=3, frames=40, landmarks=4), 1)
-    for log in logs:
+    for log in simulate_all(Team(robots=3, frames=40, landmarks=4), 1):
         runs = compare(log.inputs(labels=True), task, ("dead-reckoning", "ekf", "batch"))
         assert [r.status for r in runs] == ["ok"] * 3
         for run in runs[1:]:
             path = run.trajectory(run.phases[-1])
-            nees = consistency.nees(path.pose, path.covariance, log.truth.pose, "pose")
-            assert np.nanmean(nees) < 15.0
+            assert np.nanmean(consistency.nees(path.pose, path.covariance, log.truth.pose, "pose")) < 15.0
         assert runs[2].last_step_sigma < 1e-3
         # the newest pose knows the same, up to linearization
         a, b = (r.trajectory(r.phases[-1]) for r in runs[1:])
@@ -284,8 +282,7 @@ def test_written_dataset_with_five_robots(tmp_path):
     assert [log.name for log in logs] == [f"mrclam8-robot{k}" for k in range(1, 6)]
     team = logs[0].recorded.team
     assert [set(team.encounters.label[team.of(k)].tolist()) for k in range(5)] == [set(), {1}, {2}, {3}, {4}]
-    noise = FROZEN.noise(team.encounters.z)
-    assert pytest.approx(noise) == team.encounters.R
+    assert pytest.approx(FROZEN.noise(team.encounters.z)) == team.encounters.R
     for k, log in enumerate(logs, 1):
         alone = load_mrclam(folder, k)
         assert log.recorded.prior.mean == pytest.approx(alone.recorded.prior.mean, abs=1e-9)
@@ -293,8 +290,7 @@ def test_written_dataset_with_five_robots(tmp_path):
         assert log.recorded.observations.z == pytest.approx(alone.recorded.observations.z)
         ekf, batch = compare(log.inputs(labels=True), "localization", ("ekf", "batch"))
         for run in (ekf, batch):
-            path = run.trajectory(run.phases[-1])
-            assert np.nanmax(np.abs(between(log.truth.pose, path.pose)[:, :2])) < 0.1
+            assert np.nanmax(np.abs(between(log.truth.pose, run.trajectory(run.phases[-1]).pose)[:, :2])) < 0.1
         assert (ekf.sighted == team.encounters.label[team.of(k - 1)]).all()
 
 
@@ -319,11 +315,9 @@ def test_hundred_robots_are_as_consistent_as_their_exchange():
         for seed in range(100):
             log = simulate_all(Team(exchange=exchange), 500 + seed)[seed % 5]
             (run,) = compare(log.inputs(labels=True), "localization", ["ekf"])
-            nees = consistency.nees(run.online.pose, run.online.covariance, log.truth.pose, "pose")
-            own.append(np.nanmean(nees))
+            own.append(np.nanmean(consistency.nees(run.online.pose, run.online.covariance, log.truth.pose, "pose")))
         means[exchange] = consistency.verdict(np.array(own), 3)
-    words = {exchange: v.word for exchange, v in means.items()}
-    assert words == {
+    assert {exchange: v.word for exchange, v in means.items()} == {
         "joint": consistency.CONSISTENT,
         "naive": consistency.OVERCONFIDENT,
         "intersection": consistency.CONSERVATIVE,

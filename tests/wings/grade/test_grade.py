@@ -50,8 +50,7 @@ def every_part():
 
 
 def mistakes():
-    lines = (HERE / "mistakes.txt").read_text().splitlines()[1:]
-    for n, line in enumerate(lines):
+    for n, line in enumerate((HERE / "mistakes.txt").read_text().splitlines()[1:]):
         assignment, part, points, cause, old, new = line.split(" | ", 5)
         row = (assignment, part, float(points), cause, *map(ast.literal_eval, (old, new)))
         fast = n % 3 == 0
@@ -128,8 +127,7 @@ def test_arguments_are_copies_and_idle_questions_count_only_where_they_are_answe
 
     part = parts.asked("f", lambda seeds, name: asked)
     for function, right in ((careful, 4), (spoils, 3), (lambda a: [], 0)):
-        loaded = type("Loaded", (), {"thing": staticmethod(function)})
-        found = part.grade(loaded, part.prepare(SEEDS))
+        found = part.grade(type("Loaded", (), {"thing": staticmethod(function)}), part.prepare(SEEDS))
         assert (found.right, found.of) == (right, 4)
     assert [q.given[0][0] for q in asked] == [0, 1, 2, 3, 4]
     assert not Outcome("f").flawless
@@ -232,8 +230,7 @@ def test_a_class_is_graded_in_parallel_and_what_is_finished_is_kept(tmp_path, ca
     assert "eve: 0.0 of 100 points" in capsys.readouterr().out
     table = pd.read_csv("marks/class.csv")
     assert dict(zip(table["name"], table["points"])) == {"ada": 100.0, "bob": 100.0, "eve": 0.0, "nil": 0.0}
-    alike = pd.read_csv("marks/similar.csv")
-    assert alike[["one", "other"]].to_numpy().tolist() == [["ada", "bob"]]
+    assert pd.read_csv("marks/similar.csv")[["one", "other"]].to_numpy().tolist() == [["ada", "bob"]]
     Path("class/eve/visual.py").write_text(right)
     Path("list.csv").write_text("name,path\nada,class/ada\neve,class/eve/visual.py\n")
     assert slamref.main(["grade", "list.csv", *words[2:]]) == 0
@@ -269,8 +266,7 @@ def test_only_copies_are_near_identical(tmp_path):
 
 
 def test_a_simulated_recording_is_one_in_the_mrclam_format(tmp_path):
-    log = load_mrclam(utias.write_dataset(tmp_path / "set", 3), 1)
-    assert len(log.recorded) > 30
+    assert len(load_mrclam(utias.write_dataset(tmp_path / "set", 3), 1).recorded) > 30
     own = {name: len(q) for name, q in utias.recorded(Seeds((0, 1), tmp_path / "set")).items()}
     assert own["move"] > 300
     assert own["correct"] == own["initialize"] > 10

@@ -25,14 +25,12 @@ def shown(method="jcbb-first", *, people=True, error=0.1, **more) -> Shown:
 
 @pytest.fixture(scope="module")
 def people():
-    fig = people_figure([shown("nn", people=False)], [shown("nn", error=0.4)])
-    return fig
+    return people_figure([shown("nn", people=False)], [shown("nn", error=0.4)])
 
 
 @pytest.fixture(scope="module")
 def kept():
-    fig = maintenance_figure(shown(), shown(removed={2: 2}))
-    return fig
+    return maintenance_figure(shown(), shown(removed={2: 2}))
 
 
 def by_marker(ax, marker):

@@ -70,8 +70,7 @@ def test_lines_and_tables_have_the_numbers_of_their_own_runs(tmp_path):
 
 def test_what_stays_is_not_said_to_fall_and_who_is_lost_least_is_named(tmp_path):
     lost = {"known": 6.0, "nn": 3.0, "singles": 8.0, "jcbb-first": 9.0}
-    same = ERRORS | {PEOPLE: ERRORS[PLAIN], BLIND: lost}
-    lines = [s.blocks[0] for s in sections(tmp_path, same)]
+    lines = [s.blocks[0] for s in sections(tmp_path, ERRORS | {PEOPLE: ERRORS[PLAIN], BLIND: lost})]
     assert lines[2].count("; its RMSE stays at") == 2
     assert lines[4].startswith("**No path is usable; nn gives the smallest error. Position RMSE: known 5.37 m, nn 2.68")
     worse = ERRORS | {PEOPLE: ERRORS[PEOPLE] | {"jcbb-first": 0.001}}
@@ -79,8 +78,7 @@ def test_what_stays_is_not_said_to_fall_and_who_is_lost_least_is_named(tmp_path)
 
 
 def test_a_path_that_the_judgement_calls_unusable_is_marked_in_table_and_line(tmp_path):
-    astray = ERRORS | {PEOPLE: ERRORS[PEOPLE] | {"singles": 9.0}}
-    found = sections(tmp_path, astray)
+    found = sections(tmp_path, ERRORS | {PEOPLE: ERRORS[PEOPLE] | {"singles": 9.0}})
     marked = found[2].blocks[1].frame.set_index(["condition", "method"])["usable"]
     assert marked["people", "singles"] == "no"
     assert set(marked.drop(("people", "singles"))) == {"yes"}

@@ -53,8 +53,7 @@ def test_switches_are_read_from_the_data():
     assert [switched_on(log) for log in (QUIET, BUSY, BLIND)] == [(False, True), (True, True), (False, False)]
     kept = replace(BUSY, name=f"{BUSY.name}:maintain")
     tidied = lab_run(kept, "jcbb", removed={2: 4}, changes={4: NEW})
-    trials = [trial(QUIET), trial(BUSY), trial(kept, tidied, variant_of=BUSY.name)]
-    lab = find_lab(trials)
+    lab = find_lab([trial(QUIET), trial(BUSY), trial(kept, tidied, variant_of=BUSY.name)])
     assert {k: t.log.name for k, t in lab.trials.items()} == {(False, True): "corridor:0", (True, True): BUSY.name}
     assert {k: t.log.name for k, t in lab.maintained.items()} == {(True, True): kept.name}
     assert find_lab([Trial(QUIET, "localization", ()), trial(circle_log(truth=False))]) is None
@@ -137,8 +136,7 @@ def test_jcbb_copes_better_only_where_it_does():
 def test_without_odometry_errors_and_reason_are_told():
     known = lab_run(BLIND, "known", error=0.5)
     jcbb = lab_run(BLIND, "jcbb", error=2.0, changes=dict.fromkeys(range(2, 10), 1))
-    smoother = lab_run(BLIND, "known", estimator="batch")
-    q = facts(trial(BLIND, known, jcbb, smoother)).of["blind"]
+    q = facts(trial(BLIND, known, jcbb, lab_run(BLIND, "known", estimator="batch"))).of["blind"]
     assert (q["motion"]["count"], q["motion"]["within"], q["motion"]["reasonable"]) == (4, 4, True)
     assert (q["jcbb"].rmse, q["jcbb"].largest, q["jcbb"].last) == (pytest.approx(2.0 * RMS), 2.0, 2.0)
     assert q["smoother"].rmse == pytest.approx(0.01 * RMS)
@@ -180,5 +178,4 @@ def test_map_maintenance_is_told_by_size_entries_and_counts():
 
 def test_a_question_without_its_runs_lacks_them_and_the_others_are_answered():
     q = facts(trial(QUIET, lab_run(QUIET, "known"), lab_run(QUIET, "nn")))
-    lacks = [q.of[question.name]["lack"] for question in QUESTIONS]
-    assert lacks == [False, False, True, True, True, True]
+    assert [q.of[question.name]["lack"] for question in QUESTIONS] == [False, False, True, True, True, True]

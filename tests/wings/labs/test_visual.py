@@ -53,8 +53,7 @@ def test_each_question_is_answered_in_a_line_with_the_numbers_of_its_runs(tmp_pa
     sections = answers(tmp_path, no_plots=True)
     assert [s.heading.partition(":")[0] for s in sections] == ["Question 1", "Question 2", "Question 3"]
     # a circle of 4 m around in 39 chords, to which the growing error adds nothing but itself
-    path = RUNS[0].online.pose[:, :2]
-    length = sum(np.linalg.norm(b - a) for a, b in pairwise(path))
+    length = sum(np.linalg.norm(b - a) for a, b in pairwise(RUNS[0].online.pose[:, :2]))
     rising = np.sqrt(np.mean(np.linspace(0.0, 1.0, FRAMES) ** 2))
     first, second, third = (s.facts for s in sections)
     assert first == pytest.approx({"length": length, "off": 1.0, "sigma": SIGMA.max()})

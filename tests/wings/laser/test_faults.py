@@ -20,8 +20,7 @@ from wings.laser.score import faults
 @pytest.fixture(scope="module")
 def trial():
     log = named_log("floorplan:0:frames=1500+beams=90")
-    runs = compare(log.recorded, "slam", ["isam2"], "scan")
-    return Trial(log, "slam", tuple(runs))
+    return Trial(log, "slam", tuple(compare(log.recorded, "slam", ["isam2"], "scan")))
 
 
 def changed(trial, **parts):

@@ -47,8 +47,7 @@ def test_a_line_joins_the_two_keys_of_each_loop_and_the_legend_counts_them(loops
     assert [to_hex(c.get_colors()[0]).upper() for c in drawn] == [colour for colour, _, _ in LOOP_STATES.values()]
     ends = {tuple(map(tuple, s.tolist())) for c in drawn for s in c.get_segments()}
     assert ends == {(tuple(KEYS[i, :2]), tuple(KEYS[j, :2])) for i, j in ((0, 4), (0, 3), (1, 4), (1, 3))}
-    texts = [t.get_text() for t in fig.legends[0].get_texts()]
-    assert [f"{what}: 1" for what in LOOP_STATES] == texts[-4:]
+    assert [f"{what}: 1" for what in LOOP_STATES] == [t.get_text() for t in fig.legends[0].get_texts()][-4:]
     without = [t.get_text() for t in loop_picture(KEYS, loops, WEIGHT, name="here").legends[0].get_texts()]
     assert not any("false" in t for t in without)
 

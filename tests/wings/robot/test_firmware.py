@@ -176,8 +176,7 @@ def test_motors_stop_a_second_after_the_last_command(built, framed):
         for _ in range(8):
             link.step(command_of(0.3, 0.0))
         # step returns with the answer, some 0.03 s after the command
-        since = board.steps * STEP - 0.5 - (link._next - PERIOD)
-        board.advance(PATIENCE - since - 0.02)
+        board.advance(PATIENCE - (board.steps * STEP - 0.5 - (link._next - PERIOD)) - 0.02)
         assert min(board.wheels) > 0.25
         board.advance(WATCHDOG - PATIENCE + 0.04)
         assert board.duty == (0.0, 0.0)
@@ -213,8 +212,7 @@ def test_a_drive_over_a_pseudo_terminal_with_bytes_lost_and_flipped_is_scored(bu
     log, end = open_log(str(tmp_path / "log")), np.loadtxt(f"{link}.end")
     assert "Faults of the link" in log.notes[0]
     assert len(log.recorded) > 50
-    metrics = pd.read_csv(tmp_path / "log-report" / "metrics.csv")
-    assert set(metrics["status"]) == {"ok"}
+    assert set(pd.read_csv(tmp_path / "log-report" / "metrics.csv")["status"]) == {"ok"}
     path = pd.read_csv(tmp_path / "log-report" / "runs" / "log" / "slam-isam2-jcbb" / "final.csv")
     assert np.hypot(*end[:2]) > 2.0
     np.testing.assert_allclose(path[["x", "y"]].to_numpy()[-1], end[:2], atol=0.1)

@@ -163,8 +163,7 @@ def test_while_the_device_is_gone_each_step_still_takes_its_period_and_tries_onc
         link.step(AHEAD)
         ends.append(clock.now())
     # an answer is awaited only where a device is open: without one a step lasts to the end of its period
-    first = ends[0] - began
-    assert PERIOD <= first < 2.0 * PERIOD
+    assert PERIOD <= (ends[0] - began) < 2.0 * PERIOD
     assert np.diff(ends[:5]) == pytest.approx(PERIOD, abs=1e-9)
     assert len(tried) == 6
     assert np.diff(tried) == pytest.approx(PERIOD, abs=1e-9)

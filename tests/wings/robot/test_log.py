@@ -81,8 +81,7 @@ def test_without_an_answer_it_is_no_log(tmp_path):
 
 
 def test_it_is_found_among_other_logs(folder):
-    found = [load() for load in find_logs(folder.parent, print)]
-    assert [log.name for log in found] == ["log"]
+    assert [log.name for log in [load() for load in find_logs(folder.parent, print)]] == ["log"]
     with pytest.raises(UsageError, match="--relations"):
         open_log(str(folder), Reading(relations=folder / "x"))
 

@@ -23,8 +23,7 @@ def crc_by_bits(data):
     register = 0xFFFF
     for byte in data:
         for bit in range(7, -1, -1):
-            out = (register >> 15) ^ (byte >> bit & 1)
-            register = (register << 1 & 0xFFFF) ^ (0x1021 * out)
+            register = (register << 1 & 0xFFFF) ^ (0x1021 * ((register >> 15) ^ (byte >> bit & 1)))
     return register
 
 
@@ -88,8 +87,7 @@ def test_a_packet_is_152_bytes_as_documented():
 @given(st.integers(0, 10**6), st.integers(1, packets.MOST_BEAMS), st.integers(1, 400))
 def test_a_scan_comes_back_as_it_was_sent_however_it_is_cut_into_pieces(seed, beams, piece):
     rng = np.random.default_rng(seed)
-    odometry = tuple(rng.integers(-(1 << 15), 1 << 15, 3).tolist())
-    sent = scan_of(rng, beams, odometry)
+    sent = scan_of(rng, beams, tuple(rng.integers(-(1 << 15), 1 << 15, 3).tolist()))
     stream, data = Framed(scans=True), with_answer(sent)
     came = [p for at in range(0, len(data), piece) for p in stream.feed(0.0, data[at : at + piece])]
     assert [p.scan for p in came] == [sent]
@@ -105,8 +103,7 @@ def test_beams_that_no_scanner_has_are_refused(numbers):
     assert not beams.possible
     padded = packets.Scan(0, (0, 0, 0), beams, (5,) * min(beams.number, packets.BEAMS))
     frames = packets.encode_scan(padded) or packets.encode_scan(padded._replace(beams=beams._replace(number=1)))
-    parts = packets.ScanParts(Counter())
-    assert parts.add(frames[2:-2][:148]) is None or beams.number == 0
+    assert packets.ScanParts(Counter()).add(frames[2:-2][:148]) is None or beams.number == 0
 
 
 def changed(data, rng):
@@ -151,8 +148,7 @@ def test_a_scan_without_its_answer_or_with_a_piece_missing_is_counted_and_not_us
     rng = np.random.default_rng(1)
     first, other = (scan_of(rng, 130, (k, 0, 0)) for k in (0, 5))
     stream = Framed(scans=True)
-    torn = packets.encode_scan(first)[: 2 * 152] + with_answer(first)[3 * 152 :]
-    (packet,) = stream.feed(0.0, torn)
+    (packet,) = stream.feed(0.0, packets.encode_scan(first)[: 2 * 152] + with_answer(first)[3 * 152 :])
     assert packet.scan is None
     assert stream.faults["torn"] == 1
     (packet,) = stream.feed(
@@ -160,8 +156,7 @@ def test_a_scan_without_its_answer_or_with_a_piece_missing_is_counted_and_not_us
     )
     assert packet.scan is None
     assert stream.faults["torn"] == 2
-    fewer = scan_of(rng, 90)
-    (packet,) = stream.feed(0.5, with_answer(fewer))
+    (packet,) = stream.feed(0.5, with_answer(scan_of(rng, 90)))
     assert packet.scan is None, "other beams than the scan before"
     assert stream.faults["torn"] == 3
 

@@ -118,8 +118,7 @@ def by_beams(segments, pose, half_angle, beams=4001):
     with np.errstate(divide="ignore", invalid="ignore"):
         r = (a[:, 0] * e[:, 1] - a[:, 1] * e[:, 0]) / cross
         u = (a[:, 0] * d[..., 1] - a[:, 1] * d[..., 0]) / cross
-    hit = (cross != 0) & (r > 0) & (u >= 0) & (u <= 1)
-    return np.where(hit, r, np.inf).min()
+    return np.where((cross != 0) & (r > 0) & (u >= 0) & (u <= 1), r, np.inf).min()
 
 
 def test_a_cone_across_a_wall_reads_the_perpendicular_and_one_aslant_the_nearer_edge():

@@ -17,8 +17,7 @@ PERIOD = 0.25
 @cache
 def answers(seed, seconds):
     rng = np.random.default_rng(seed)
-    made = drive(room(seed), lambda packet: wander(packet, rng), seconds, rng)
-    return [p.answer for p in made.packets]
+    return [p.answer for p in drive(room(seed), lambda packet: wander(packet, rng), seconds, rng).packets]
 
 
 def heard(stream, pieces):

@@ -78,8 +78,7 @@ def test_without_noise_a_fit_is_the_wall(off):
 def test_a_line_beyond_the_origin_is_told_with_rho_above_zero():
     """Seen from behind: sensors two metres to the left of the origin, the wall between."""
     sensors = compose(np.array([[0.1 * k, 2.0, 0.0] for k in range(8)]), SONARS[RIGHT])
-    ranges = cast(wall(1.0, math.pi / 2), sensors, CONE_HALF_ANGLE).distance
-    line = fit_weighted(sensors, ranges)
+    line = fit_weighted(sensors, cast(wall(1.0, math.pi / 2), sensors, CONE_HALF_ANGLE).distance)
     assert (line.rho, line.alpha) == pytest.approx((1.0, math.pi / 2), abs=1e-6)
 
 

@@ -165,8 +165,7 @@ def corners_at(scans: Scans, frames: IntArray) -> Observations:
     seen = [(k, *corners(r, scans.scanner)) for k, f in enumerate(frames) if (r := scans.of(int(f))) is not None]
     z = np.concatenate([np.empty((0, 2)), *(xy for _, xy, _ in seen)])
     R = np.concatenate([np.empty((0, 2, 2)), *(R for _, _, R in seen)])
-    frame = np.repeat(np.array([k for k, _, _ in seen], np.int64), [len(xy) for _, xy, _ in seen])
-    return Observations(frame, z, R)
+    return Observations(np.repeat(np.array([k for k, _, _ in seen], np.int64), [len(xy) for _, xy, _ in seen]), z, R)
 
 
 SAME = 0.05

@@ -82,8 +82,7 @@ def estimated(
     if name == "fixed-lag":
         run = _fixed_lag(given.inputs, setup.lag)
     elif name in STEPPING:
-        stepping = replace(setup, gate_poses=gate if name == "ekf" else None)
-        run = step_by_step(name, given.inputs, TASK, "jcbb", stepping)
+        run = step_by_step(name, given.inputs, TASK, "jcbb", replace(setup, gate_poses=gate if name == "ekf" else None))
         if name == "isam2":  # it keeps every key pose
             run = replace(run, state_size=3 * np.arange(1, len(given.inputs) + 1))
     else:

@@ -72,8 +72,7 @@ def covariances(n=40):
 
 @pytest.mark.parametrize("how", ["first", "se2"])
 def test_a_path_that_is_the_truth_elsewhere_comes_back(how):
-    T = alignment(se2.compose(MOTION, WAY), WAY, how)
-    assert np.allclose(T, se2.inverse(MOTION), atol=1e-9)
+    assert np.allclose(alignment(se2.compose(MOTION, WAY), WAY, how), se2.inverse(MOTION), atol=1e-9)
 
 
 def test_a_map_is_moved_with_its_path_and_nees_stay_what_they_were():
@@ -103,8 +102,7 @@ def test_a_map_of_walls_is_moved_as_the_points_on_them():
     m = moved_walls(MOTION, MapEstimate(number, walls, C, number, number))
     for (rho, alpha), (rho2, alpha2) in zip(walls, m.xy, strict=True):
         normal = np.array([np.cos(alpha), np.sin(alpha)])
-        points = rho * normal + np.outer([-3.0, 5.0], [-normal[1], normal[0]])
-        there = se2.transform_points(MOTION, points)
+        there = se2.transform_points(MOTION, rho * normal + np.outer([-3.0, 5.0], [-normal[1], normal[0]]))
         assert there @ [np.cos(alpha2), np.sin(alpha2)] == pytest.approx(rho2)
     drawn = walls[1] + np.random.default_rng(0).multivariate_normal(np.zeros(2), C[1], 20000)
     many = np.arange(len(drawn))

@@ -50,8 +50,7 @@ OWN = {LOCAL: "left_invariant", LEFT: "right_invariant", WORLD: "decoupled", MIX
 @pytest.mark.parametrize("frame", [LOCAL, WORLD, slow(LEFT), slow(MIXED)])
 def test_nees_of_poses_drawn_by_a_convention_is_that_of_a_chi_square(frame):
     found = columns_in_space(drawn(frame))
-    se = math.sqrt(12.0 / 1500)
-    assert found[f"nees_3d_{OWN[frame]}"] == pytest.approx(6.0, abs=4.0 * se)
+    assert found[f"nees_3d_{OWN[frame]}"] == pytest.approx(6.0, abs=4.0 * math.sqrt(12.0 / 1500))
     if frame in (WORLD, MIXED):
         for part in ("position", "rotation"):
             assert found[f"nees_3d_{part}"] == pytest.approx(3.0, abs=4.0 * math.sqrt(6.0 / 1500))
@@ -98,8 +97,7 @@ def test_yaw_alignment_is_the_best_over_a_search():
         return math.sqrt(np.mean(np.sum(off**2, axis=1)))
 
     angle = math.atan2(fit.R[1, 0], fit.R[0, 0])
-    found = q @ fit.R.T + fit.t - p
-    assert math.sqrt(np.mean(np.sum(found**2, axis=1))) == pytest.approx(rms(angle))
+    assert math.sqrt(np.mean(np.sum((q @ fit.R.T + fit.t - p) ** 2, axis=1))) == pytest.approx(rms(angle))
     assert all(rms(angle) <= rms(other) for other in np.linspace(-math.pi, math.pi, 721))
 
 

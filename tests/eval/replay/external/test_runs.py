@@ -170,8 +170,7 @@ def test_samples_become_the_mean_and_covariance_that_numpy_has_for_them_across_t
     found = adapter.pose_of(
         "", adapter.Samples(np.column_stack([poses[:, :2], (poses[:, 2] + np.pi) % (2 * np.pi) - np.pi]), weights)
     )
-    mean = np.average(poses, axis=0, weights=weights)
-    np.testing.assert_allclose(found.mean[:2], mean[:2])
+    np.testing.assert_allclose(found.mean[:2], np.average(poses, axis=0, weights=weights)[:2])
     assert abs(abs(found.mean[2]) - np.pi) < 0.05
     expected = np.cov(poses[:, :2].T, aweights=weights)
     np.testing.assert_allclose(found.covariance[:2, :2], expected, rtol=1e-12)
@@ -238,8 +237,7 @@ def test_decisions_that_cannot_be_are_said(returned, words):
 
 
 def test_a_map_without_covariance_is_a_map():
-    found = adapter.map_of("", (np.array([0, 2]), np.zeros((2, 2)), None))
-    assert np.isnan(found.covariance).all()
+    assert np.isnan(adapter.map_of("", (np.array([0, 2]), np.zeros((2, 2)), None)).covariance).all()
     with pytest.raises(adapter.ForeignError, match=r"returned a list; .number, xy, covariance. is needed"):
         adapter.map_of("F.landmarks", [1])
 

@@ -156,10 +156,8 @@ def test_the_likelihood_is_that_of_observations_with_the_position_integrated_out
 
 
 def test_a_landmark_that_explains_less_than_clutter_does_counts_as_clutter():
-    far = decided([0, 0, 0, -1], Z, [[9.0, 0.0]])
-    assert whole_log.log_likelihood(far, 1.0, VIEW) == 0.0
-    once = decided([0, -1, -1, -1], Z, [Z[0]])
-    assert whole_log.log_likelihood(once, 1.0, VIEW) == 0.0
+    assert whole_log.log_likelihood(decided([0, 0, 0, -1], Z, [[9.0, 0.0]]), 1.0, VIEW) == 0.0
+    assert whole_log.log_likelihood(decided([0, -1, -1, -1], Z, [Z[0]]), 1.0, VIEW) == 0.0
 
 
 def test_odometry_and_missed_detections_speak_against_decisions():
@@ -244,10 +242,8 @@ def observed(*frames):
     number = np.repeat(np.arange(3), [*map(len, frames), len(third)])
     order = np.argsort(frame, kind="stable")
     frame, number = frame[order], number[order]
-    noise = NOISE * np.random.default_rng(0).standard_normal((len(frame), 2))
-    z = XY[number] - PATH[frame, :2] + noise
-    seen = Observations(frame, z, np.tile(NOISE**2 * np.eye(2), (len(frame), 1, 1)))
-    return seen, number
+    z = XY[number] - PATH[frame, :2] + (NOISE * np.random.default_rng(0).standard_normal((len(frame), 2)))
+    return Observations(frame, z, np.tile(NOISE**2 * np.eye(2), (len(frame), 1, 1))), number
 
 
 def found(*frames, xy=XY):

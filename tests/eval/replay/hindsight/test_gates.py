@@ -148,8 +148,7 @@ def test_sensor_and_motion_are_told_apart(sensor, motion):
 
 
 def test_the_wider_of_both_counts_and_never_more_than_was_stated():
-    scales = Scales(NoiseScale(0.05, 1.0), NoiseScale(0.2, 1.0))
-    assert widest(scales) == pytest.approx(0.2 * TAILS)
+    assert widest(Scales(NoiseScale(0.05, 1.0), NoiseScale(0.2, 1.0))) == pytest.approx(0.2 * TAILS)
     assert widest(Scales(NoiseScale(3.0, 1.0), NoiseScale(0.2, 1.0))) == 1.0
 
 
@@ -212,8 +211,7 @@ def test_dense_is_where_half_a_landmark_is_in_the_gate_by_chance(gate, sensor, c
         P[2 * i, 2 * i], P[2 * i + 1, 2 * i + 1] = 2.0**2 * times, (0.5 * area * across) ** 2 * times
     expected = np.array([[r, 0.0], [r, 0.2]]) if sensor is not POINT else np.array([[r, 0.0], [0.0, r]])
     e = Expectation.from_arrays(np.empty((0, 2)), expected, P, np.empty((0, 2, 2)))
-    told = dense(e, crowd(count, sensor), ledger(sensor=sensor), Setup(gate=gate))
-    assert told.tolist() == [False, True]
+    assert dense(e, crowd(count, sensor), ledger(sensor=sensor), Setup(gate=gate)).tolist() == [False, True]
 
 
 @pytest.mark.parametrize(("begun", "anew"), [(-math.inf, True), (29.0, True), (31.0, False)])

@@ -28,8 +28,7 @@ def bank(xy, sigma=(1.0, 1.0, 0.01), sensor=SENSOR):
 
 
 def test_weights_are_the_posterior_of_all_pairings():
-    xy = [[5.0, 0.0], [6.5, 0.0], [5.0, 3.0]]
-    b, known = bank(xy, sigma=(0.6, 0.6, 1e-6))
+    b, known = bank([[5.0, 0.0], [6.5, 0.0], [5.0, 3.0]], sigma=(0.6, 0.6, 1e-6))
     b._detection._seen[:] = 0.0  # a miss says nothing here
     z = np.array([[5.6, 0.1], [5.4, 2.9]])
     b.observe(FrameObservations(z, np.array([R, R])), 0)
@@ -107,8 +106,7 @@ def test_a_landmark_is_in_view_with_the_probability_that_its_range_and_bearing_a
         else np.stack([polar[:, 0] * np.cos(polar[:, 1]), polar[:, 0] * np.sin(polar[:, 1])]).T
     )
     sigma = np.array([[0.2, 0.2]] * 6) if kind is RangeBearing else 0.2 * polar[:, :1] * [0.5, 1.0]
-    detection = DetectionRates(sensor)
-    found, part = detection.in_view(z, np.array([np.diag(s**2) for s in sigma]), 8.0)
+    found, part = DetectionRates(sensor).in_view(z, np.array([np.diag(s**2) for s in sigma]), 8.0)
     off = [1.0, 1.0, 1.0, 0.5, norm.cdf(-0.2 / (0.2 if kind is RangeBearing else 1.64)), 1.0]
     across = norm.cdf([2.5, 0.0, -1.0, 2.5, 0.0, -13.0]) - norm.cdf([-2.5, -5.0, -6.0, -2.5, -5.0, -18.0])
     assert found == pytest.approx(off * across, abs=1e-6 if kind is RangeBearing else 2e-3)

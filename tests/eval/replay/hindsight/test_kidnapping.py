@@ -45,8 +45,7 @@ class World:
         monkeypatch.setattr(mapper, "relocalize", self.relocalize)
 
     def expect(self, observations):
-        joint = 0.01 * np.eye(2 * len(PLACES))
-        return Expectation.from_arrays(observations.z, PLACES, joint, observations.R)
+        return Expectation.from_arrays(observations.z, PLACES, 0.01 * np.eye(2 * len(PLACES)), observations.R)
 
     def relocalize(self, scan, known):
         self.asked.append((scan, known.id.tolist()))
@@ -100,8 +99,7 @@ def test_who_was_moved_unseen_may_be_anywhere_and_the_filter_gets_to_know(world)
     assert len(world.inflated) == 1
     assert world.inflated[0] is done.kidnapped
     assert world.ledger.epoch == Epoch(12.0, 3)
-    again = world.frame(NEW, NEW, NEW, surprise=ALARM)
-    assert again.kidnapped is None
+    assert world.frame(NEW, NEW, NEW, surprise=ALARM).kidnapped is None
     assert world.kidnapping.alarms == [0], "there is one alarm until the place is found"
 
 
@@ -113,8 +111,7 @@ def test_while_lost_only_what_is_new_or_not_dense_may_be_paired(world):
     world.frame(NEW, NEW, NEW, surprise=ALARM)
     z = np.array([[3.0, 0.0], [0.0, 4.0], [7.0, -7.0]])
     assert world.frame(NEW, NEW, NEW, z=z).decisions.tolist() == [0, 1, NEW]
-    crowd = np.tile([[1.0, 1.0]], (4000, 1))
-    world.filters.believed.xy = crowd
+    world.filters.believed.xy = np.tile([[1.0, 1.0]], (4000, 1))
     assert world.frame(NEW, NEW, NEW, z=z).decisions.tolist() == [NEW] * 3
     world.ledger.epoch = Epoch(0.0, 1)
     assert world.frame(NEW, NEW, NEW, z=z).decisions.tolist() == [NEW, 1, NEW]

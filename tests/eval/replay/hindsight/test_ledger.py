@@ -47,8 +47,7 @@ class Robot:
         ledger.judge(self.expects(chosen, missing), chosen, self.x)
         created = np.full(n, -1, np.int64)
         created[chosen == NEW] = ledger.created + np.arange((chosen == NEW).sum())
-        done = Updated(chosen >= 0, created, 0.0, 0, 0.0, np.full((n, 2), math.nan))
-        ledger.see(here, chosen, done, self.x)
+        ledger.see(here, chosen, Updated(chosen >= 0, created, 0.0, 0, 0.0, np.full((n, 2), math.nan)), self.x)
         self.rows += n
         return self
 
@@ -57,8 +56,7 @@ class Robot:
         """What is paired where it is read, and what is missing, between all that is."""
         paired = np.flatnonzero(chosen >= 0)
         bearing = 0.06 + 0.03 * np.arange(len(missing))
-        away = 4.6 * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
-        z_hat = np.concatenate([PLACES[paired], away])
+        z_hat = np.concatenate([PLACES[paired], 4.6 * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)])
         R = np.tile(0.01 * np.eye(2), (len(chosen), 1, 1))
         number = np.concatenate([chosen[paired], np.array(missing, np.int64)])
         return Expectation.from_arrays(
@@ -217,8 +215,7 @@ def test_what_is_missed_too_often_is_taken_back_once_and_only_when_it_was_looked
 
 
 def test_what_is_merged_adds_up():
-    robot = Robot().sees(NEW, NEW, NEW).sees(NEW, NEW)
-    ledger = robot.sees(0, 3, missing=[1, 4]).sees(1, 0).ledger
+    ledger = Robot().sees(NEW, NEW, NEW).sees(NEW, NEW).sees(0, 3, missing=[1, 4]).sees(1, 0).ledger
     kept, away = ledger.records[0], ledger.records[3]
     kept.evidence = kept.evidence._replace(seen=5, opportunities=4, missed=3, row=2, judged=2, squares=7.0)
     away.evidence = away.evidence._replace(seen=20, opportunities=10, missed=6, row=1, judged=1, squares=1.0)
@@ -327,8 +324,7 @@ def test_a_landmark_is_not_there_if_so_many_misses_in_a_row_are_unlikely_of_a_ce
     v, e = Visibility(seen_seen=7, seen_missed=1), INITIALIZED._replace(seen=seen, opportunities=200)
     assert confirmed(e, v) == (power > 1)
     needed = math.ceil(power * math.log(constants.UNLIKELY) / math.log(1.0 - rate))
-    told = [verdict(e._replace(missed=n, row=n), v) for n in (0, needed - 1, needed)]
-    assert told == ["", "", "missed"]
+    assert [verdict(e._replace(missed=n, row=n), v) for n in (0, needed - 1, needed)] == ["", "", "missed"]
 
 
 def test_a_certain_landmark_has_its_own_rate_if_that_is_lower():

@@ -45,8 +45,7 @@ def test_a_retracted_landmark_is_out_of_the_map_with_every_decision_for_it(runs)
         assert not np.isin(left, gone).any()
         # who is in the map was initialized once, and is seen as often as it says
         assert sorted(left[left >= 0]) == run.map.number.tolist()
-        times = [(run.final_decisions == n).sum() + 1 for n in run.map.number]
-        assert run.map.times_seen.tolist() == times
+        assert run.map.times_seen.tolist() == [(run.final_decisions == n).sum() + 1 for n in run.map.number]
 
 
 def test_events_come_in_the_order_of_frames_and_name_their_reason(runs):

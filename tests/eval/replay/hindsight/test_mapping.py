@@ -83,8 +83,7 @@ def rmse(pose, truth):
 @pytest.mark.slow
 def test_a_round_later_every_tree_is_one_landmark_again(world, both):
     inputs, _, who = world
-    plain = step_by_step("ekf", inputs, "slam", "jcbb")
-    assert len(plain.map) > 150
+    assert len(step_by_step("ekf", inputs, "slam", "jcbb").map) > 150
     for run in both.values():
         found = who_is_who(run, who)
         assert run.failure is None
@@ -145,8 +144,7 @@ def test_a_point_that_comes_in_view_beside_another_is_a_landmark_of_its_own():
     run = step_by_step("ekf", standing(30, 0.05, lambda k: both[[0, 2]] if k < 5 else both), "slam", METHOD)
     assert len(run.map) == 3
     np.testing.assert_allclose(run.map.xy[np.argsort(run.map.xy[:, 0])], both, atol=0.05)
-    late = np.where(run.created >= 0, run.created, run.final_decisions)[-3:]
-    assert len(set(late.tolist())) == 3
+    assert len(set(np.where(run.created >= 0, run.created, run.final_decisions)[-3:].tolist())) == 3
 
 
 def test_what_was_seen_on_the_way_does_not_choose_among_old_landmarks():
@@ -157,8 +155,7 @@ def test_what_was_seen_on_the_way_does_not_choose_among_old_landmarks():
     inputs.increments.covariance.flags.writeable = True
     inputs.increments.covariance[5] = np.diag([36.0, 36.0, 1e-8])
     run = step_by_step("ekf", inputs, "slam", METHOD)
-    number = np.where(run.created >= 0, run.created, run.decisions)
-    assert number[-15:].tolist() == [1, 2, 3, 4, 5] * 3
+    assert np.where(run.created >= 0, run.created, run.decisions)[-15:].tolist() == [1, 2, 3, 4, 5] * 3
 
 
 def test_a_reading_at_no_range_at_all_is_a_reading():

@@ -112,8 +112,7 @@ def test_only_what_the_present_smoother_saw_is_amended():
     plain = run(inputs, decisions)
     assert np.array_equal(run(inputs, decisions, [3, AT], decisions), plain)
     for frame in (AT + 1, AT + 4):
-        without = np.where(seen == frame, DISCARD, decisions)
-        expected = run(inputs, without)
+        expected = run(inputs, np.where(seen == frame, DISCARD, decisions))
         assert np.abs(run(inputs, decisions, [3, AT, frame], none) - expected).max() < 1e-6
         assert np.abs(plain - expected).max() > 1e-3
 

@@ -48,14 +48,12 @@ def test_the_scale_of_students_squares_is_found(scale):
     rng = np.random.default_rng(0)
     noise = stated()
     for _ in range(3000):
-        squares = scale * rng.chisquare(2, 2) / (rng.chisquare(FREEDOM, 2) / FREEDOM)
-        noise = learned(noise, squares, np.ones(2))
+        noise = learned(noise, scale * rng.chisquare(2, 2) / (rng.chisquare(FREEDOM, 2) / FREEDOM), np.ones(2))
     assert noise.scale == pytest.approx(scale, rel=0.1)
 
 
 def test_what_is_believed_to_a_share_counts_as_that_share():
-    rng = np.random.default_rng(2)
-    squares = rng.chisquare(2, 4)
+    squares = np.random.default_rng(2).chisquare(2, 4)
     whole = learned(stated(), squares, np.ones(4))
     halves = learned(stated(), np.repeat(squares, 2), np.full(8, 0.5))
     assert halves.scale == pytest.approx(whole.scale)
@@ -174,8 +172,7 @@ def test_the_fit_is_the_most_likely_one(monkeypatch):
     for _ in range(40):
         H = rng.normal(size=(5, 2, 3))
         A, B = np.tile(np.diag([0.04, 0.0]), (5, 1, 1)), np.tile(np.diag([0.0, 0.01]), (5, 1, 1))
-        motion = rng.normal(size=3) * 0.3
-        nu = H @ motion + rng.normal(size=(5, 2)) * [0.4, 0.05]
+        nu = H @ (rng.normal(size=3) * 0.3) + rng.normal(size=(5, 2)) * [0.4, 0.05]
         steps.append(Step(0.04 * np.eye(3), nu, H, A, B, np.full(5, 1e-30)))
         blocks.append((nu.ravel(), H.reshape(10, 3)))
 

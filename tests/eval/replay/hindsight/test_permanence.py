@@ -104,8 +104,7 @@ def drawn(rng, count, p):
             viewpoint = rng.integers(3)
             rate = own[viewpoint] if there else CHANCE
             opportunities.append(2 * viewpoint + int(rng.random() < rate))
-        before = int(rng.geometric(own[3] if stay else appearing)) - 1
-        every.append(BEFORE * before + bytes(opportunities))
+        every.append(BEFORE * (int(rng.geometric(own[3] if stay else appearing)) - 1) + bytes(opportunities))
     return every, stays
 
 
@@ -137,8 +136,7 @@ def test_what_a_log_is_like_is_found_again(shares, rates, spread):
 
 def test_misses_at_the_end_do_not_tell_how_often_landmarks_are_missed():
     """They may be gone: people who were read ten times each, and long since missed, leave the others' rates alone."""
-    found = persistence([SEEN * 20] * 30 + [SEEN * 5 + MISSED * 40] * 30)
-    assert mean(found)[1] > 0.95
+    assert mean(persistence([SEEN * 20] * 30 + [SEEN * 5 + MISSED * 40] * 30))[1] > 0.95
 
 
 def test_what_passes_does_not_take_longer_than_can_be_told():
@@ -221,7 +219,6 @@ def test_in_a_folded_map_leaving_is_no_longer_rare():
     assert stay.stays[-1]
     assert not stay.left[-1]
     looks = [*[SEEN * 20 + MISSED * 20] * 20, *[BEFORE * 20 + SEEN * 20] * 21, short]
-    spans = [*[(0, 400)] * 20, *[(450, 900)] * 21, (0, 400)]
-    folded = kept_at_end(looks, np.full(42, 9), spans)
+    folded = kept_at_end(looks, np.full(42, 9), [*[(0, 400)] * 20, *[(450, 900)] * 21, (0, 400)])
     assert folded.folded
     assert folded.stays.tolist() == [False] * 20 + [True] * 21 + [False]

@@ -102,8 +102,7 @@ def test_a_landmark_that_should_be_seen_and_is_not_speaks_against_a_pose():
     known = LandmarkMap(np.arange(len(ROWS) + 3), np.concatenate([ROWS, marks]))
 
     def step(landmarks, rate):
-        filter_ = at_start(AHEAD, landmarks, BACK, NARROW)
-        return placed(filter_, observations, rate=rate, motion=NARROW).pose[0]
+        return placed(at_start(AHEAD, landmarks, BACK, NARROW), observations, rate=rate, motion=NARROW).pose[0]
 
     assert step(rows(-10, 15), 0.99) == pytest.approx(-1.0, abs=0.1)
     assert step(known, 0.99) == pytest.approx(1.0, abs=0.1)

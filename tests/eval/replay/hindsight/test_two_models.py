@@ -27,8 +27,7 @@ def test_the_model_that_the_log_was_driven_with_stays_alone(error, model):
         for each in (both, alone):
             if frame.increment is not None:
                 mean, covariance = frame.increment
-                wrong = mean - np.array([0.0, 0.0, error * np.hypot(*mean[:2])])
-                each.predict(Increment(wrong, covariance))
+                each.predict(Increment(mean - np.array([0.0, 0.0, error * np.hypot(*mean[:2])]), covariance))
             if len(frame.observations.z):
                 each.update(frame.observations, decisions[frame.first : frame.first + len(frame.observations.z)])
     assert (both.believed.errors is None) == (model is None)

@@ -104,8 +104,7 @@ def test_an_update_at_a_pose_is_one_gauss_newton_step_from_there(begun):
         H[2 * i : 2 * i + 2, :3], H[2 * i : 2 * i + 2, 3 + 2 * c : 5 + 2 * c] = Hx[i], Hl[i]
     gain = ekf.covariance @ H.T @ np.linalg.inv(S)
     expected, P = mean + gain @ nu, ekf.covariance - gain @ H @ ekf.covariance
-    done = ekf.update(observations, decisions, at=pose)
-    assert done.nis == pytest.approx(nu @ np.linalg.solve(S, nu))
+    assert ekf.update(observations, decisions, at=pose).nis == pytest.approx(nu @ np.linalg.solve(S, nu))
     assert wrap_angle(float(ekf.mean[2] - expected[2])) == pytest.approx(0.0, abs=1e-8)
     np.testing.assert_allclose(np.delete(ekf.mean, 2), np.delete(expected, 2), atol=1e-8)
     np.testing.assert_allclose(ekf.covariance, P, atol=1e-8)

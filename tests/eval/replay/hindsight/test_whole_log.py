@@ -76,8 +76,7 @@ def test_events_lead_from_what_was_decided_to_the_end_and_each_begins_where_the_
 
 
 def test_a_path_that_cannot_be_smoothed_leaves_decisions_as_they_are_and_says_so(monkeypatch):
-    log = log_of(draw(10))
-    inputs = log.inputs(labels=False).without_map()
+    inputs = log_of(draw(10)).inputs(labels=False).without_map()
 
     def fails(*_, **__):
         raise UnderConstrained("landmark 3 hangs in the air")
@@ -123,8 +122,7 @@ def test_gates_leave_of_residuals_what_simulated_ones_have():
 
 @pytest.mark.parametrize("setup", [Setup(), Setup(maintain=True), Setup(forget_after=30.0)], ids=str)
 def test_only_where_landmarks_were_forgotten_nothing_is_paired_anew(setup):
-    inputs = log_of(draw(10)).inputs(labels=False).without_map()
-    run = step_by_step("ekf", inputs, "slam", METHOD, setup)
+    run = step_by_step("ekf", log_of(draw(10)).inputs(labels=False).without_map(), "slam", METHOD, setup)
     assert run.removed is not None
     assert any(e.why == REASSOCIATED for e in run.events) == (setup.forget_after is None)
 

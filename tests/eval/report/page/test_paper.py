@@ -70,8 +70,7 @@ def test_rows_have_names_to_read_and_what_is_the_same_in_all_is_said_once():
     assert [latex.log(n) for n in ("victoria-park", "arena:0", "corridor:3:people+range=8", "my_log", "x:y")] == [
         "Victoria Park", "arena 0", "corridor 3 (people, range 8)", "my_log", "x:y",
     ]  # fmt: skip
-    same = FRAME.assign(association="jcbb", log="arena:1")
-    made = sheet(same, "t", "Errors", "page")
+    made = sheet(FRAME.assign(association="jcbb", log="arena:1"), "t", "Errors", "page")
     assert made.common == ("arena 1", "association JCBB")
     assert r"\caption{Errors (arena 1, association JCBB)}" in made.tex
     assert "JCBB" not in tabular(made.tex)

@@ -76,8 +76,7 @@ def test_missing_and_doubled_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="nowhere: not a folder"):
         open_lab(tmp_path / "nowhere")
     folder = handmade.lab(tmp_path / "lab")
-    content = (folder / "settings.mat").read_bytes()
-    (folder / "again.mat").write_bytes(content)
+    (folder / "again.mat").write_bytes((folder / "settings.mat").read_bytes())
     handmade.refuse(folder, r"again.mat, settings.mat each hold a configuration; one")
     (folder / "again.mat").unlink()
     np.savez(folder / "second.npz", **handmade.log_arrays())  # type: ignore[arg-type]

@@ -29,8 +29,7 @@ def read_twice(recording: Any, columns: dict[str, Any]) -> Iterator[list[Any]]:
 @pytest.mark.parametrize("form", handmade.LOGS)
 def test_every_form_of_the_log_gives_the_same_frames_as_often_as_asked(tmp_path: Path, form: str) -> None:
     columns = handmade.log_arrays()
-    recording = open_lab(handmade.lab(tmp_path / "lab", columns=columns, form=form))
-    for frames in read_twice(recording, columns):
+    for frames in read_twice(open_lab(handmade.lab(tmp_path / "lab", columns=columns, form=form)), columns):
         assert all(f.rgb.dtype == np.uint8 and f.rgb.flags.c_contiguous and f.xyz.flags.c_contiguous for f in frames)
 
 
@@ -101,8 +100,7 @@ def test_configuration_and_log_may_share_a_file_and_the_log_may_have_another_nam
     scipy.io.savemat(
         folder / "All.MAT", handmade.configuration() | {"run7": handmade.as_structs(columns), "note": "by hand"}
     )
-    frames = handmade.all_frames(open_lab(folder))
-    np.testing.assert_array_equal([f.rgb for f in frames], columns["rgb"])
+    np.testing.assert_array_equal([f.rgb for f in handmade.all_frames(open_lab(folder))], columns["rgb"])
 
 
 @pytest.mark.parametrize("kind", ["dicts", "list", "structs", "npz"])
@@ -197,16 +195,14 @@ def put_structs(file: Any, name: str, elements: list[dict[str, Any]], shape: tup
     for field in elements[0]:
         references = np.empty(shape[::-1], h5py.ref_dtype)
         for i, element in enumerate(elements):
-            stored = put(kept, f"{name}_{field}_{i}", element[field])
-            references.reshape(-1)[i] = stored.ref
+            references.reshape(-1)[i] = put(kept, f"{name}_{field}_{i}", element[field]).ref
         group.create_dataset(field, data=references, dtype=h5py.ref_dtype)
 
 
 def saved(
     path: Path, columns: dict[str, Any] | None, config: Any = None, shape: tuple[int, int] = (1, handmade.FRAMES)
 ) -> None:
-    h5py = pytest.importorskip("h5py")
-    with h5py.File(path, "w", userblock_size=512) as file:
+    with pytest.importorskip("h5py").File(path, "w", userblock_size=512) as file:
         for name, fields in (config or {}).items():
             put(file, name, fields)
         if columns is not None:
@@ -219,8 +215,7 @@ def saved(
 def test_a_log_of_version_7_3_gives_the_same_frames_as_often_as_asked(tmp_path: Path, shape: tuple[int, int]) -> None:
     columns, folder = handmade.log_arrays(), handmade.lab(tmp_path / "lab", form="")
     saved(folder / "log.mat", columns, shape=shape)
-    recording = open_lab(folder)
-    for frames in read_twice(recording, columns):
+    for frames in read_twice(open_lab(folder), columns):
         np.testing.assert_allclose(frames[2].xyz[4, 4], columns["xyz"][2, 4, 4] / 1000.0, rtol=1e-6)
 
 
@@ -290,8 +285,7 @@ def peak(folder: Path, form: str, count: int) -> float:
 @pytest.mark.parametrize("form", ["npy", "npz"])
 def test_memory_does_not_grow_with_the_length_of_a_log(tmp_path: Path, form: str) -> None:
     short, long = peak(tmp_path / "short", form, 4), peak(tmp_path / "long", form, 180)
-    size = (tmp_path / "long" / f"log.{form}").stat().st_size / 2**20
-    assert size > 750
+    assert ((tmp_path / "long" / f"log.{form}").stat().st_size / 2**20) > 750
     assert long < short + 50
     assert long < 512
 

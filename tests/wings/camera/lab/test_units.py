@@ -141,8 +141,7 @@ def test_a_log_cut_short_is_damaged(tmp_path: Path, form: str) -> None:
 
 def test_an_npy_cut_short_is_named_before_the_first_frame(tmp_path: Path) -> None:
     folder = lab(tmp_path / "lab", form="log.npy")
-    content = (folder / "log.npy").read_bytes()
-    (folder / "log.npy").write_bytes(content[:-1])
+    (folder / "log.npy").write_bytes((folder / "log.npy").read_bytes()[:-1])
     with pytest.raises(DataError, match=r"damaged: ends early: 4 frames of 2904 bytes are announced and 11615 bytes"):
         open_lab(folder)
 

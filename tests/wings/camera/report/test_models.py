@@ -108,8 +108,7 @@ def moved(pose: np.ndarray, control: np.ndarray, dt: float) -> np.ndarray:
     """The code's motion; its heading not wrapped, so that it can be differentiated."""
     mean, G = np.zeros(3), np.zeros((3, 2))
     step(ARC, control[0] * dt, control[1] * dt, mean, G)
-    after = se2.compose(pose, mean)
-    return np.array([*after[:2], pose[2] + mean[2]])
+    return np.array([*se2.compose(pose, mean)[:2], pose[2] + mean[2]])
 
 
 def motion_values(pose, control, dt) -> dict[str, float]:

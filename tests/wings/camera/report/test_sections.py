@@ -111,8 +111,7 @@ def test_the_plan_shows_each_picture_on_its_wall_with_its_number_behind_it():
         assert np.linalg.norm(at) > np.linalg.norm(middle) + 0.1
         assert np.linalg.norm(at - middle) < 0.6
     assert not any(line.get_marker() == "+" for line in ax.lines)
-    labels = [t.get_text() for t in fig.legends[0].get_texts()]
-    assert "pictures (number behind)" in labels
+    assert "pictures (number behind)" in [t.get_text() for t in fig.legends[0].get_texts()]
     assert ax.get_aspect() == 1.0
 
 

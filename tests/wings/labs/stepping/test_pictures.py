@@ -156,8 +156,7 @@ def test_the_map_shows_landmarks_robot_and_path_of_the_estimate():
     now = PoseEstimate(np.array([1.0, 2.0, 0.5]), np.diag([0.01, 0.04, 0.001]))
     landmarks = MapState(np.array([0, 4]), np.array([[3.0, 3.0], [5.0, 1.0]]), np.tile(0.09 * np.eye(2), (2, 1, 1)))
     fig = painted(pictures.paint_map, log, 3, "ekf", np.array([[0.0, 0.0], [1.0, 2.0]]), now, landmarks, "here")
-    labels = fig.axes[0].get_legend_handles_labels()[1]
-    assert "2 landmarks, numbered" in labels
+    assert "2 landmarks, numbered" in fig.axes[0].get_legend_handles_labels()[1]
     assert [t.get_text() for t in fig.axes[0].texts] == ["0", "4"]
     ellipses = [p.get_extents() for c in fig.axes[0].collections for p in c.get_paths()]
     assert any(box.width == pytest.approx(2 * 3 * 0.1, rel=0.01) for box in ellipses)  # the robot's, 3 sigma

@@ -36,8 +36,7 @@ def seven() -> tuple[np.ndarray, ...]:
     frame = np.repeat([0, 1], 7)
     true_id = np.array([10, 11, 12, 13, 14, 15, 16, 10, 11, 12, 13, 20, 14, 16])
     decisions = np.array([NEW] * 7 + [0, 1, 2, 3, NEW, 5, NEW])
-    created = np.array([*range(7), -1, -1, -1, -1, 7, -1, 8])
-    return frame, true_id, decisions, created
+    return frame, true_id, decisions, np.array([*range(7), -1, -1, -1, -1, 7, -1, 8])
 
 
 def test_four_right_one_new_one_neighbour_and_one_known_taken_for_new_are_told_as_in_the_lab():
@@ -104,8 +103,7 @@ def test_the_steps_of_a_run_sum_to_the_counts_of_the_referee(phase):
 def test_a_frame_is_judged_at_once_as_it_is_judged_in_the_end(task):
     log = open_log("corridor:0:people")
     inputs = log.recorded.without_map() if task == "slam" else log.recorded
-    setup = Setup(new_gate=0.99, maintain=True)
-    run = step_by_step("ekf", inputs, task, "nn", setup)
+    run = step_by_step("ekf", inputs, task, "nn", Setup(new_gate=0.99, maintain=True))
     whole = confusion_of(run, log, "online")
     for k in range(44):
         rows = slice(*log.recorded.start[k : k + 2].tolist())
@@ -138,8 +136,7 @@ def test_a_run_that_stopped_says_where_and_tells_no_step_after_it():
     run = step_by_step("ekf", log.recorded, "localization", "nn")
     from data.result import Failure
 
-    halted = dataclasses.replace(run, failure=Failure("diverged", 3, stopped("no reason")))
-    text = run_text(log, halted)
+    text = run_text(log, dataclasses.replace(run, failure=Failure("diverged", 3, stopped("no reason"))))
     assert "step 2:" in text
     assert "step 3:" not in text
     assert "diverged at frame 3: no reason" in text
@@ -157,8 +154,7 @@ def _outcomes(*names: str) -> np.ndarray:
 
 def test_a_step_is_said_word_for_word():
     truth = TruthRow(np.array([2, 11, -1, 4]), _outcomes("tp", "fp", "tn", "fn"))
-    text = lab_block(Step(4, truth, np.array([2, 3, -1, -2]), np.array([-1, -1, 5, -1])))
-    assert text.split("\n") == [
+    assert lab_block(Step(4, truth, np.array([2, 3, -1, -2]), np.array([-1, -1, 5, -1]))).split("\n") == [
         RULE,
         "Step: 5",
         "GROUND  TRUTH:  3  12   0   5  ",
@@ -199,8 +195,7 @@ def test_the_worked_example_has_counts_4_1_1_1():
 
 def test_counts_are_left_out_where_the_hypothesis_is_right():
     truth = TruthRow(np.array([2, -1]), _outcomes("tp", "tn"))
-    discarded = lab_block(Step(4, truth, np.array([2, -2]), np.array([-1, -1])))
-    assert discarded.split("\n")[2:] == [
+    assert lab_block(Step(4, truth, np.array([2, -2]), np.array([-1, -1]))).split("\n")[2:] == [
         "GROUND  TRUTH:  3   0  ",
         "MY HYPOTHESIS:  3   0  ",
         "Correct (1/0)?  1   1  ",

@@ -128,8 +128,7 @@ def test_half_the_angle_between_beams_is_asked_for(load):
     (question,) = load(lines).asked
     assert question.code == Code.BEAM_ANGLES
     assert question.named["mended"] == pytest.approx(1.0)
-    mended = load(lines, beam_step=1.0).recorded.scans.scanner
-    assert mended.angle_step == pytest.approx(math.pi / 180)
+    assert load(lines, beam_step=1.0).recorded.scans.scanner.angle_step == pytest.approx(math.pi / 180)
 
 
 def test_readings_that_pile_up_below_the_stated_maximum_are_no_returns():
@@ -252,8 +251,7 @@ def test_two_faults_at_once_are_both_mended_by_the_flags_that_are_named(driven, 
 
 def mending_of(flags):
     """What the flags of a command ask for, besides the defaults."""
-    args = parser(simulators=False).parse_args(["carmen", "a", "b", *flags])
-    mending = conversions._mending(args)
+    mending = conversions._mending(parser(simulators=False).parse_args(["carmen", "a", "b", *flags]))
     return {f.name: v for f in fields(Mending) if (v := getattr(mending, f.name)) != f.default}
 
 
@@ -274,5 +272,4 @@ def test_a_file_of_another_kind_is_answered_with_the_command_that_converts_it(tm
 
 
 def test_unknown_odometry_is_not_asked_for_again():
-    blind = replace(RAW, recorded=without_odometry(RAW.recorded))
-    assert Code.NO_ODOMETRY not in asked(blind)
+    assert Code.NO_ODOMETRY not in asked(replace(RAW, recorded=without_odometry(RAW.recorded)))

@@ -15,8 +15,7 @@ def loaded(folder):
     magic, size, most, body = (folder / said["image"]).read_bytes().split(b"\n", 3)
     assert (magic, most, said["negate"], said["mode"]) == (b"P5", b"255", "0", "trinary")
     width, height = map(int, size.split())
-    picture = np.frombuffer(body, np.uint8).reshape(height, width)
-    p = (255 - picture[::-1].astype(float)) / 255.0
+    p = (255 - np.frombuffer(body, np.uint8).reshape(height, width)[::-1].astype(float)) / 255.0
     cells = np.full(p.shape, -1)
     cells[p > float(said["occupied_thresh"])] = 100
     cells[p < float(said["free_thresh"])] = 0

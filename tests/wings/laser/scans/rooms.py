@@ -19,8 +19,7 @@ def scan(pose: Array, walls: Array, scanner: Scanner = SCANNER, beams: int = 180
     """Exact ranges (B,) of the body at pose (3,); 0 where no wall is within reach."""
     c, s = math.cos(scanner.rotation), math.sin(scanner.rotation)
     tx, ty = scanner.translation
-    mounted = np.array([-c * tx - s * ty, s * tx - c * ty, -scanner.rotation])
-    x, y, theta = compose(pose, mounted)
+    x, y, theta = compose(pose, np.array([-c * tx - s * ty, s * tx - c * ty, -scanner.rotation]))
     ranges = np.zeros(beams)
     for k in range(beams):
         u = np.array([math.cos(theta + scanner.angle_min + k * scanner.angle_step),

@@ -69,8 +69,7 @@ def recorded(
     ranges = np.maximum(ranges + noise * rng.standard_normal(ranges.shape), 1e-3)
     ranges[ranges >= scanner.max_range] = 0.0
     times = period * np.arange(len(truth), dtype=float) if stamp is None else stamp
-    inputs = laser_inputs(pose, times, Scans(scanner, frame, ranges))
-    return Log("field", inputs, Truth(truth))
+    return Log("field", laser_inputs(pose, times, Scans(scanner, frame, ranges)), Truth(truth))
 
 
 def reporting_forward(seed: int) -> Log:
@@ -142,8 +141,7 @@ def halls(
     walls += [[spacing * (k + 1), 3.0, spacing * (k + 1), depth - 3.0] for k in range(rows)]
     cut = []
     for x0, y0, x1, y1 in walls:
-        n = max(int(math.hypot(x1 - x0, y1 - y0) / 1.5), 1)
-        ends = np.linspace([x0, y0], [x1, y1], n + 1)
+        ends = np.linspace([x0, y0], [x1, y1], max(int(math.hypot(x1 - x0, y1 - y0) / 1.5), 1) + 1)
         cut += [[*a, *b] for a, b in pairwise(ends)]
     lines = np.array(cut, float)
     glass = rng.random(len(lines)) < panes
@@ -168,8 +166,7 @@ def through(points: list[Array], frames: int, step: float = 0.12, turn: float = 
     path = [np.array([*points[0], 0.0])]
     for to in points[1:]:
         away = to - path[-1][:2]
-        heading = math.atan2(away[1], away[0])
-        left = (heading - path[-1][2] + math.pi) % (2.0 * math.pi) - math.pi
+        left = (math.atan2(away[1], away[0]) - path[-1][2] + math.pi) % (2.0 * math.pi) - math.pi
         for _ in range(math.ceil(abs(left) / turn)):
             last = path[-1]
             path.append(np.array([last[0], last[1], last[2] + left / math.ceil(abs(left) / turn)]))
@@ -191,8 +188,7 @@ def ring(
     width, depth, wide = 60.0, 24.0, 3.0
     outer = [[0, 0, width, 0], [width, 0, width, depth], [width, depth, 0, depth], [0, depth, 0, 0]]
     a, b, c, d = wide, wide, width - wide, depth - wide
-    inner = [[a, b, c, b], [c, b, c, d], [c, d, a, d], [a, d, a, b]]
-    walls = [*outer, *inner]
+    walls = [*outer, *[[a, b, c, b], [c, b, c, d], [c, d, a, d], [a, d, a, b]]]
     for x in np.arange(a + spacing, c, spacing).tolist():
         for y0, y1 in ((d, d + 0.4), (depth, depth - 0.4)):
             for dx in (-0.2, 0.2):

@@ -24,8 +24,7 @@ def closer_at(keys, last=SEEN, covariance=USUAL):
     found = LoopCloser(LaserParameters(), SCANNER)
     for key in range(keys):
         ranges = last if key == keys - 1 else SEEN
-        points = scan_points(ranges, beams_of(SCANNER, 180), 20.0)
-        found.add_key(ranges, points, np.zeros(3), covariance)
+        found.add_key(ranges, scan_points(ranges, beams_of(SCANNER, 180), 20.0), np.zeros(3), covariance)
     return found
 
 
@@ -48,8 +47,7 @@ def test_closures_of_two_key_poses_that_agree_are_believed_at_the_second_unless_
     found.add_key(SEEN, found._points[-1], np.zeros(3), USUAL)
     poses = np.zeros((GAP + 2, 3))
     poses[-1, 0] = off  # of the second pose the path says what the scan does not
-    believed = found.find(poses)
-    ends = [(c.key1, c.key2, c.believed) for c in believed]
+    ends = [(c.key1, c.key2, c.believed) for c in found.find(poses)]
     assert ends == ([] if off else [(0, GAP, GAP + 1), (0, GAP + 1, GAP + 1)])
     assert len(found.loops().key1) == 2
 

@@ -162,8 +162,7 @@ def laser_log(seed=1, keys=100):
     part = np.arange(n) % PER_KEY / PER_KEY
     since[:-1] = world.motion[np.minimum(key[:-1] + 1, keys - 1)] * part[:-1, None]
     since_covariance = 1e-4 * part[:, None, None] * np.eye(3)
-    frame = PER_KEY * np.arange(keys)
-    chain = Chain(frame, world.motion, world.covariance, key, since, since_covariance)
+    chain = Chain(PER_KEY * np.arange(keys), world.motion, world.covariance, key, since, since_covariance)
     believed = world.key2.copy()
     believed[0] = -1
     score = rng.uniform(0.5, 1.0, len(believed))

@@ -84,8 +84,7 @@ def made(monkeypatch):
 @pytest.mark.parametrize(("share", "fits"), [(0.99, False), (1.01, True)])
 def test_a_scan_that_does_not_fit_leaves_the_prediction(made, share, fits):
     made.tracker.predict(np.array([0.01, 0.0, 0.0]), FINE)
-    least = LaserParameters().least_share
-    assert made.correct(([0.02, 0.0, 0.0], 0.1, share * least)) == fits
+    assert made.correct(([0.02, 0.0, 0.0], 0.1, share * LaserParameters().least_share)) == fits
     assert made.tracker.pose[0] == (0.02 if fits else 0.01)
     assert made.tracker.covariance == pytest.approx(1e-6 * np.eye(3) if fits else FINE)
 

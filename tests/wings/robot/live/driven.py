@@ -141,8 +141,7 @@ def simulator(folder: Path, *more) -> Iterator[tuple[Path, Path]]:
 
 @contextlib.contextmanager
 def started(folder: Path, link: Path, *more, out="log") -> Iterator[Process]:
-    words = ["--link", link, "--out", folder / out, *more]
-    process = Process(__main__.main, words, folder / f"{out}.out")
+    process = Process(__main__.main, ["--link", link, "--out", folder / out, *more], folder / f"{out}.out")
     try:
         yield process
     finally:

@@ -152,8 +152,7 @@ def test_with_a_lidar_it_matches_scans_shows_a_grid_and_reports_both(tmp_path):
     assert len(log.scans.frame) > 0.9 * len(log)
     assert len(written_bits(tmp_path / "now.csv", "isam2 scan")) > 0.9 * len(log)
     assert np.ptp(path[:, 1]) > 0.5
-    report = (tmp_path / "log-report" / "report.md").read_text()
-    assert "--association jcbb,scan" in report
+    assert "--association jcbb,scan" in (tmp_path / "log-report" / "report.md").read_text()
 
 
 def test_a_device_that_is_not_there_leaves_nothing(tmp_path, capsys):
