@@ -102,8 +102,7 @@ def gnn(expectation: Expectation, gate: float | None) -> IntArray:
     some, allowed = d2[np.ix_(rows, columns)], compatible[np.ix_(rows, columns)]
     # costs more than all allowed pairs together: unpaired only if no landmark is left
     new = threshold if np.isfinite(threshold) else 1.0 + 2.0 * some[allowed].sum()
-    forbidden = 1.0 + 2.0 * len(rows) * new
-    cost = np.full((len(rows), len(columns) + len(rows)), forbidden)
+    cost = np.full((len(rows), len(columns) + len(rows)), 1.0 + 2.0 * len(rows) * new)
     cost[:, : len(columns)][allowed] = some[allowed]
     cost[np.arange(len(rows)), len(columns) + np.arange(len(rows))] = new
     choice = cost.argmin(axis=1)

@@ -61,9 +61,7 @@ def acceptance(method: str, gate: float | None, dims: int = 2, right: Evidence =
     alone = of_places(gate, dims, 1, right)
     if method in ("jcbb", "jcbb-first"):
         return Acceptance(alone, gate, right=right)
-    if method == "ml-ratio":
-        return Acceptance(min(alone, ALPHA / RATIO))
-    return Acceptance(alone)
+    return Acceptance(min(alone, ALPHA / RATIO)) if method == "ml-ratio" else Acceptance(alone)
 
 
 @cache

@@ -54,8 +54,7 @@ def predict(mean: Array, P: Array, d: int, motion: Array, M: Array, first: Array
     fx, fy = -wy, wx
     if len(first):
         fx, fy = first[1] - (mean[1] + wy), mean[0] + wx - first[0]
-    # rows, then columns: F (P F')
-    for j in range(d):
+    for j in range(d):  # rows, then columns: F (P F')
         P[0, j] += fx * P[2, j]
         P[1, j] += fy * P[2, j]
     for i in range(d):

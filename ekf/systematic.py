@@ -117,8 +117,7 @@ def predict_with_errors(mean: Array, P: Array, d: int, motion: Array, M: Array, 
     noise = np.empty((3, 3))
     sandwich(G, M, noise)
     predict(mean, P, d, corrected, noise, first)
-    # J = [[I, D], [0, I]] [[F, 0], [0, I]]: rows, then columns
-    for r in range(3):
+    for r in range(3):  # J = [[I, D], [0, I]] [[F, 0], [0, I]]: rows, then columns
         for q in range(p):
             for j in range(d):
                 P[r, j] += D[r, q] * P[3 + q, j]

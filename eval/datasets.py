@@ -48,8 +48,7 @@ def datasets() -> list[dict[str, Any]]:
     """The entries of `datasets.toml`, each with what it shares with another one."""
     found = dict[str, dict[str, Any]]()
     for entry in tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))["dataset"]:
-        shared = {k: v for k, v in found.get(entry.get("like"), {}).items() if k != "sha256"}
-        found[entry["name"]] = shared | entry
+        found[entry["name"]] = {k: v for k, v in found.get(entry.get("like"), {}).items() if k != "sha256"} | entry
     return list(found.values())
 
 

@@ -217,8 +217,7 @@ class Observed:
         """The whole run as a problem, with known landmarks at their positions; `values` are converted to it."""
         if self.sensor.sees_points:
             plain = [self._plain.get(symbolIndex(s.key), s) if s.key is not None else s for s in self.observations]
-            known_map = self.map is not None and self.map.sigma is None
-            problem = Problem(end.prior, end.motion, plain, known_map)
+            problem = Problem(end.prior, end.motion, plain, self.map is not None and self.map.sigma is None)
             return replace(problem, priors=landmark_priors(self.map, problem.numbers))
         about = end.prior.mean[:2]
         if self.map is not None:

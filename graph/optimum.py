@@ -106,8 +106,7 @@ def _of(factors: Sequence[PoseFactor], some: Sequence[int], white: Array) -> Pos
     if not some:
         return None
     row = np.array([factors[i].row for i in some])
-    size = int(row.max()) + 1
-    done = not_used(np.zeros(size, np.int64))
+    done = not_used(np.zeros(int(row.max()) + 1, np.int64))
     for k, i in zip(row.tolist(), some, strict=True):
         p = factors[i]
         d = len(p.entries)
@@ -121,9 +120,7 @@ def _weight(square: Array, loss: str) -> Array:
     """Weights (k,) under a loss, from squared weighted residuals (k,)."""
     if loss == "huber":
         return HUBER**2 / np.maximum(square, HUBER**2)
-    if loss == "cauchy":
-        return np.maximum(1.0 - square / CAUCHY**2, LEAST_WEIGHT)
-    return np.ones(len(square))
+    return np.maximum(1.0 - square / CAUCHY**2, LEAST_WEIGHT) if loss == "cauchy" else np.ones(len(square))
 
 
 DEPTH = 6  # steps of an extrapolation

@@ -277,8 +277,7 @@ def linearize_increments(
         c, s = math.cos(way[2]), math.sin(way[2])
         B[0, 0], B[0, 1], B[1, 0], B[1, 1] = c, -s, s, c
         _product(K, B, after[k])
-        # a shift of the pose before is the opposite shift of the pose after
-        _adjoint(way[0], way[1], way[2], Ad)
+        _adjoint(way[0], way[1], way[2], Ad)  # a shift of the pose before is the opposite shift of the pose after
         _product(after[k], Ad, K)
         for i in range(3):
             for j in range(3):

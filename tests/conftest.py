@@ -23,8 +23,7 @@ settings.register_profile("thorough", deadline=None, max_examples=100)
 settings.register_profile("quick", deadline=None, max_examples=30)
 settings.load_profile("quick")
 
-# Thousands of tests and modules are made once and stay: the garbage collector need not go through them.
-gc.disable()
+gc.disable()  # Thousands of tests and modules are made once and stay: the garbage collector need not go through them.
 
 
 def pytest_collection_finish() -> None:

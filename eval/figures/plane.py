@@ -147,9 +147,7 @@ def enlargement(view: View, semi_axes: Array, share: float = 0.012) -> int:
         return 1
     wanted = share * float(view.size.max())
     middle = float(np.median(semi_axes))
-    if middle >= 0.5 * wanted:
-        return 1
-    return next((f for f in FACTORS if f * middle >= wanted), FACTORS[-1])
+    return 1 if middle >= 0.5 * wanted else next((f for f in FACTORS if f * middle >= wanted), FACTORS[-1])
 
 
 SIGMAS = 3.0  # size of every ellipse; in the plane a 3 sigma ellipse holds 1 - exp(-9/2) = 98.89 % of a Gaussian

@@ -46,8 +46,7 @@ Owner = Part | Seeded
 class Outcome:
     """All results."""
 
-    # trials, studies: of logs, and of scenarios
-    trials: tuple[Trial, ...]
+    trials: tuple[Trial, ...]  # trials, studies: of logs, and of scenarios
     studies: tuple[Study, ...]
     published: tuple[Mapping[str, object], ...] = ()  # rows of published.csv
     skipped: tuple[str, ...] = ()  # messages about work that could not be done

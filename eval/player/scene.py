@@ -140,8 +140,7 @@ def add_run(pack: Pack, key: str, run: Run, trial: Trial, quantum: float) -> Non
             pack.add_log(f"{key}{phase}_nees", path.nees["pose"])
     if run.innovations is not None:
         dof = run.innovations.dof
-        per_dof = np.divide(run.innovations.nis, dof, out=np.full(len(dof), np.nan), where=dof > 0)
-        pack.add_log(f"{key}nis", per_dof)
+        pack.add_log(f"{key}nis", np.divide(run.innovations.nis, dof, out=np.full(len(dof), np.nan), where=dof > 0))
     _add_decisions(pack, key, run, trial)
     if run.map is not None:
         usable = np.isfinite(run.map.xy).all(axis=1)

@@ -36,8 +36,7 @@ NOT_ASKED, SINGULAR = -3, -4  # in place of a decision: not computed, or the cov
 
 def quantum_of(inputs: Inputs) -> float:
     """Visible size [m]: a power of ten, for the extent of the path by dead reckoning."""
-    path = dead_reckoned(inputs.prior.mean, inputs.increments.mean)[:, :2]
-    extent = float(np.ptp(path, axis=0).max(initial=0.0))
+    extent = float(np.ptp(dead_reckoned(inputs.prior.mean, inputs.increments.mean)[:, :2], axis=0).max(initial=0.0))
     return float(np.clip(10.0 ** np.floor(np.log10(max(SHARE * extent, FINEST))), FINEST, COARSEST))
 
 

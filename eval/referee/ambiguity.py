@@ -40,8 +40,7 @@ def variance_of(m: MapEstimate, number: IntArray, variance: Array) -> Array:
     """Mean variance [m^2] (L,) of each landmark's observations, of these numbers (M,) and variances (M,); else 0."""
     size = int(max(m.number.max(initial=-1), number.max(initial=-1))) + 1
     count = np.bincount(number, minlength=size)
-    total = np.bincount(number, weights=variance, minlength=size)
-    return np.asarray((total / np.maximum(count, 1))[m.number])
+    return np.asarray((np.bincount(number, weights=variance, minlength=size) / np.maximum(count, 1))[m.number])
 
 
 def neighbours(m: MapEstimate, variance: Array, number: IntArray, frame: IntArray) -> IntArray:
@@ -73,8 +72,7 @@ def _near(m: MapEstimate, variance: Array) -> IntArray:
     distance, around = scipy.spatial.cKDTree(xy).query(xy, k=min(MOST + 1, len(xy)))
     first, which = np.nonzero(distance <= reach[:, None])
     second = np.asarray(around)[first, which]
-    pairs = np.unique(np.sort(np.stack([first, second], axis=1)[first != second], axis=1), axis=0)
-    rows = known[pairs]
+    rows = known[np.unique(np.sort(np.stack([first, second], axis=1)[first != second], axis=1), axis=0)]
     i, j = rows.T
     S = m.covariance[i] + m.covariance[j] + np.maximum(variance[i], variance[j])[:, None, None] * np.eye(2)
     d = m.xy[i] - m.xy[j]

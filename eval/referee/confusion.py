@@ -148,5 +148,4 @@ def share_within(decisions: IntArray, true_id: IntArray, taken_id: IntArray, pla
     if not len(paired):
         return float("nan")
     own, taken = (places.positions(ids[paired]) for ids in (true_id, taken_id))
-    apart = np.hypot(*(own - taken).T)
-    return float(np.mean(apart <= WITHIN))  # a comparison with NaN is false
+    return float(np.mean(np.hypot(*(own - taken).T) <= WITHIN))  # a comparison with NaN is false

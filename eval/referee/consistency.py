@@ -205,9 +205,7 @@ def _student(values: Array, dof: int, expected: float, tail: float, words: Words
 
 
 def _word(accepted: bool, above: bool, runs: int, words: Words = ERRORS) -> str:
-    if runs < MIN_RUNS:
-        return TOO_FEW
-    return words[0] if accepted else words[1] if above else words[2]
+    return TOO_FEW if runs < MIN_RUNS else words[0] if accepted else words[1] if above else words[2]
 
 
 def correlated(lag1: float, lag1_se: float) -> bool:
@@ -221,9 +219,7 @@ def innovations_word(nis: float, lower: float, upper: float, lag1: float = math.
     """
     if not all(map(math.isfinite, (nis, lower, upper))):
         return ""
-    if correlated(lag1, lag1_se):
-        return CORRELATED
-    return LARGE if nis > upper else SMALL if nis < lower else FIT
+    return CORRELATED if correlated(lag1, lag1_se) else LARGE if nis > upper else SMALL if nis < lower else FIT
 
 
 def coverage(values: Array, dof: int, level: float) -> Verdict:
@@ -326,5 +322,4 @@ def true_inliers(closures: Closures, truth: Array) -> IntArray:
     """Which closures (C,) are right, given true poses (F, 3); -1: one of them is unknown."""
     first, second = truth[closures.frame1], truth[closures.frame2]
     right = right_relatives(closures.relative, closures.covariance, first, second)
-    known = np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1)
-    return np.where(known, right, -1).astype(np.int64)
+    return np.where(np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1), right, -1).astype(np.int64)

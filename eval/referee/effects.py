@@ -78,8 +78,7 @@ def _observations(inputs: Inputs, path: Array, used: Used) -> dict[str, Array]:
         return {}
     pose, landmark = path[o.frame[rows]], used.landmarks[used.number[rows]]
     z, Hx, Hm = sensor.linearize(pose, landmark)
-    polar = sensor.polar(z)
-    reach, one, zero = polar[:, 0], np.ones(len(rows)), np.zeros(len(rows))
+    reach, one, zero = sensor.polar(z)[:, 0], np.ones(len(rows)), np.zeros(len(rows))
     columns = {"z1_constant": np.stack([one, zero], 1), "z2_constant": np.stack([zero, one], 1)}
     columns["z2_scale"] = np.stack([zero, z[:, 1]], 1)
     if sensor.kind != RELATIVE_POINT:

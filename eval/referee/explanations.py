@@ -290,8 +290,7 @@ def _bursts(e: Evidence) -> list[tuple[Finding, tuple[Effect, ...], int]]:
             if np.any(motion):
                 columns.append(Effect(f"burst_{first}_{length}", motion=motion))
                 frames.append((first, first + length - 1))
-        # one burst, two, and so on: of the same length each
-        for count in range(1, len(columns) + 1):
+        for count in range(1, len(columns) + 1):  # one burst, two, and so on: of the same length each
             finding = Finding(NOISE, "burst", "odometry", math.nan, frames=tuple(frames[:count]))
             found.append((finding, tuple(columns[:count]), (len(forward) * len(LENGTHS)) ** count))
     return found

@@ -47,8 +47,7 @@ def _unused(run: Run, inputs: Inputs, label: IntArray | None) -> Notice | None:
         share = float((_decisions(run)[later] >= 0).mean()) if later.sum() >= OBSERVATIONS else 1.0
         return notice(Code.HARDLY_USED, FRAMES, share=share, after=FRAMES) if share < SHARE else None
     could = np.bincount(frame[known], minlength=n)
-    did = np.bincount(frame[known & (_decisions(run) >= 0)], minlength=n)
-    return _stretch(could, did, could > 0, Code.UNPAIRED)
+    return _stretch(could, np.bincount(frame[known & (_decisions(run) >= 0)], minlength=n), could > 0, Code.UNPAIRED)
 
 
 def _unseen(run: Run, inputs: Inputs) -> Notice | None:

@@ -27,8 +27,7 @@ class Flag:
     repeatable: bool = False  # given once for each value
     short: str = ""  # one letter
     bare: str = ""  # the value of a flag without one; empty: a value is needed
-    # name, default: of the field; part: of the field that holds its table, empty in the table itself
-    name: str = ""
+    name: str = ""  # name, default: of the field; part: of the field that holds its table, empty in the table itself
     default: Any = None
     part: str = ""
 

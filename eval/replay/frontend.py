@@ -97,8 +97,7 @@ class WaitingLandmarks:
 
     def _release(self, waiting: list[Waiting], estimator: Able) -> None:
         """Keep the poses of these observations no longer, unless others need them."""
-        needed = {w.frame for other in self._of.values() for w in other}
-        for frame in {w.frame for w in waiting} - needed:
+        for frame in {w.frame for w in waiting} - {w.frame for other in self._of.values() for w in other}:
             estimator.release(frame)
 
 

@@ -139,8 +139,7 @@ class EstimatorRow(NamedTuple):
 
     kind: str  # `reckoning`, `filter`, `incremental` or `batch`
     label: str  # in tables and figures
-    # colour, line, marker: in figures; `line` as of `eval.figures.style`
-    colour: str
+    colour: str  # colour, line, marker: in figures; `line` as of `eval.figures.style`
     line: str
     marker: str
     # of a filter: of its `FilterOptions`; of a batch smoother: its `loss`; of an incremental one: its `class`, and
@@ -202,6 +201,5 @@ FIRST = ("known", "jcbb", "jcbb-first")  # association methods that come before 
 def associations(runs: Sequence[Run]) -> list[str]:
     """The association methods of some runs, those to be shown first in front: `known`, and those that are not ours."""
     given = list(dict.fromkeys(r.association for r in runs if r.association != "none"))
-    theirs = tuple(a for a in given if a not in ASSOCIATIONS)
-    first = (FIRST[0], *theirs, *FIRST[1:])
+    first = (FIRST[0], *tuple(a for a in given if a not in ASSOCIATIONS), *FIRST[1:])
     return sorted(given, key=lambda a: first.index(a) if a in first else len(first))

@@ -235,8 +235,7 @@ def _blame(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> Blame:
     mispaired: list[Finding] = []
     if made.association != "known":
         names = dict.fromkeys(name for s in made.twins for name in s.counts)
-        counts = {n: [s.counts[n] for s in made.twins if n in s.counts] for n in names}
-        mispaired = attribution.decision_errors(counts)
+        mispaired = attribution.decision_errors({n: [s.counts[n] for s in made.twins if n in s.counts] for n in names})
     findings = _head_first(findings, made.indicated) + mispaired + _estimators(made.twins)
     cause = attribution.NOTHING
     if objected and _broken(made.twins):
@@ -360,9 +359,7 @@ def _taken(findings: Sequence[Finding]) -> list[str]:
 def with_all_sources(smoother: Run, inputs: Inputs) -> Run:
     """The smoother with the fixes and closures, too, that a gate left out: they may be outliers of their source."""
     found = (each for each in (smoother.fixes_final, smoother.closures_final) if each is not None)
-    if all(each.used.all() for each in found):
-        return smoother
-    return _refitted(inputs, smoother) or smoother
+    return smoother if all(each.used.all() for each in found) else _refitted(inputs, smoother) or smoother
 
 
 def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[list[Finding], Inputs] | None:

@@ -187,8 +187,7 @@ class Judged:
 class EstimatorJudgement:
     """An estimator of a study in one phase: its verdicts, and the word that follows from their marks."""
 
-    # study, runs: name of the scenario, and its number of runs; `diverged`: of these, failed or implausible
-    study: str
+    study: str  # study, runs: name of the scenario, and its number of runs; `diverged`: of these, failed or implausible
     runs: int
     key: Key
     judged: tuple[Judged, ...]  # a verdict for each quantity

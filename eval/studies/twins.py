@@ -41,8 +41,7 @@ class Source:
     # the real one, without the systematic errors that the smoother estimated; twins have none and estimate them with
     # the same prior. Its truth is not used
     log: Log
-    # task, association, estimators, setup: as for the real log; `batch` is always among the estimators
-    task: str
+    task: str  # task, association, estimators, setup: as for the real log; `batch` is always among the estimators
     association: str
     estimators: tuple[str, ...]
     setup: Setup

@@ -121,8 +121,7 @@ def seen(*poses, d=0.5):
     ("x", "offered"), [(2.0, True), (3.0 + 0.9 * MARGIN, True), (3.0 + 1.1 * MARGIN, False), (-4.0, False)]
 )
 def test_the_other_face_of_a_wall_is_offered_where_the_first_was_seen(x, offered):
-    # from y < 0, driving along it to the right, it is on the left
-    faces = seen(1.0, 2.0, 3.0)
+    faces = seen(1.0, 2.0, 3.0)  # from y < 0, driving along it to the right, it is on the left
     below, z_hat = np.array([x, -0.5, 0.0]), np.array([[0.5, math.pi / 2]])
     assert faces.visible(below, SURE, np.array([0]), z_hat).tolist() == [offered]
 

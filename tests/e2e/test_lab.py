@@ -38,5 +38,4 @@ def test_the_write_up_compiles_with_one_page_for_each_answer_and_log(done):
         )  # fmt: skip
         assert made.returncode == 0, made.stdout[-2000:]
     assert "Overfull" not in made.stdout
-    # six answers, four logs, and what the tables mean
-    assert "(11 pages" in made.stdout
+    assert "(11 pages" in made.stdout  # six answers, four logs, and what the tables mean

@@ -64,9 +64,7 @@ def faults_of(name: str) -> list[Fault]:
         return [zipped(lambda _: NPY), *BYTES]
     if ending == "zip":
         return [zipped(lambda _: TABLE), *BYTES]
-    if ending == "mat":
-        return MAT
-    return BYTES if ending in ("gz", "bin", "png") else TABLE
+    return MAT if ending == "mat" else BYTES if ending in ("gz", "bin", "png") else TABLE
 
 
 class Reader(NamedTuple):

@@ -62,12 +62,10 @@ CASES = {
 
 
 class Soaked(NamedTuple):
-    # case, frames: what was run
-    case: str
+    case: str  # case, frames: what was run
     frames: int
     seconds: float  # CPU time of the frames
-    # early_mb, late_mb: resident memory after a twentieth of the frames, and after all
-    early_mb: float
+    early_mb: float  # early_mb, late_mb: resident memory after a twentieth of the frames, and after all
     late_mb: float
     # early_ms, late_ms: CPU time of a frame, in the fastest hundredth of the second tenth and of the last
     early_ms: float
@@ -78,8 +76,7 @@ class Soaked(NamedTuple):
     # lowest eigenvalue
     asymmetry: float
     lowest: float
-    # states, landmarks: at the end
-    states: int
+    states: int  # states, landmarks: at the end
     landmarks: int
 
 

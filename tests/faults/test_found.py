@@ -112,8 +112,7 @@ def test_a_laser_log_is_no_bomb_and_a_damaged_run_or_result_is_said_in_few_words
     assert "a header and no pose" in peak(read_path, str(tmp_path / "a.csv"))[1]
     (tmp_path / "b.tum").write_text("0 0 0 0 0 0 0 1\n1 " + "9" * 100_000 + " 0 0 0 0 0 1\n")
     assert len(peak(read_path, str(tmp_path / "b.tum"))[1]) < 300
-    # scipy's reader may end the process.
-    savemat(tmp_path / "results.mat", {"v_m": np.ones((4, 1))})
+    savemat(tmp_path / "results.mat", {"v_m": np.ones((4, 1))})  # scipy's reader may end the process.
     (tmp_path / "results.mat").write_bytes((tmp_path / "results.mat").read_bytes()[:-9])
     assert "results.mat" in peak(load, tmp_path / "results.mat", ["v_m"])[1]
 

@@ -44,8 +44,7 @@ def erring(sensor, task, systematic, seed=0, size=1.0, **world):
     noise = inputs.increments.mean[1:] - se2.between(truth[:-1], truth[1:])
     mean, before = inputs.increments.mean.copy(), None
     while before is None or np.abs(mean - before).max() > 1e-9:
-        # the knots are where the odometry that errs has them
-        of, ended = knots(systematic.length, mean)
+        of, ended = knots(systematic.length, mean)  # the knots are where the odometry that errs has them
         errors, before = np.tile(constant, (len(inputs), 1)), mean.copy()
         if systematic.drifts:
             drift = [fresh[0]]
@@ -134,9 +133,7 @@ class Dense:
         a, b = (1.0, 0.0) if abs(t) < 1e-12 else (math.sin(t) / t, (1.0 - math.cos(t)) / t)
         xi = np.array([a * xi[0] - b * xi[1], b * xi[0] + a * xi[1], t])
         poses = np.vstack([se2.compose(self.inputs.prior.mean, xi), x[at + 3 : at + 3 * n].reshape(-1, 3)])
-        if self.inputs.map is not None:
-            return poses, self.inputs.map.xy
-        return poses, x[at + 3 * n :].reshape(-1, 2)
+        return (poses, self.inputs.map.xy) if self.inputs.map is not None else (poses, x[at + 3 * n :].reshape(-1, 2))
 
     def first_pose_covariance(self, x, P):
         """World frame, additive: the unknowns of the first pose are its prior's."""

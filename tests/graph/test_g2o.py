@@ -99,8 +99,7 @@ def test_our_batch_finds_the_minimum_that_gtsam_finds_in_the_file(arena_graph):
 
 
 def test_bearings_alone_give_the_minimum_of_bearing_factors(arena_graph, tmp_path):
-    # the scale comes from the odometry
-    lines = []
+    lines = []  # the scale comes from the odometry
     for line in arena_graph.read_text().splitlines():
         if line.startswith("EDGE_SE2_XY"):
             i, j, x, y, *_ = numbers(line)

@@ -145,8 +145,7 @@ def test_removing_a_landmark_leaves_what_there_would_be_without_its_sightings(se
     assert set(one.map.number).isdisjoint(gone)
     with pytest.raises(ValueError, match="not all are in the map"):
         s.remove(gone)
-    # numbers are never used again
-    s.predict(extra)
+    s.predict(extra)  # numbers are never used again
     assert (
         s.update(
             FrameObservations(*inputs.frame_observations(0)), np.full(len(inputs.frame_observations(0).z), NEW)

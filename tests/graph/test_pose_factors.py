@@ -153,8 +153,7 @@ def test_an_innovation_after_all_data_is_that_against_the_estimate_without_the_m
         assert of.nis[i] == pytest.approx(error @ np.linalg.solve(S, error), rel=1e-3)
         white = np.linalg.solve(np.linalg.cholesky(S), error)
         np.testing.assert_allclose(of.white[i][np.isfinite(of.white[i])], white, atol=1e-3 * np.abs(white).max())
-        # one that is left out has the same innovation
-        out = np.arange(4) == i
+        out = np.arange(4) == i  # one that is left out has the same innovation
         left = found(inputs, rejected=Rejected(fixes=out) if kind == "fix" else Rejected(closures=out))
         alone = left.fixes if kind == "fix" else left.closures
         assert alone.used.tolist() == (~out).tolist()

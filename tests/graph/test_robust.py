@@ -77,8 +77,7 @@ def test_the_result_is_the_optimum_over_what_it_accepted_and_judges_each_observa
     again = smooth(inputs, *kept, Start(result.trajectory.pose, landmark))
     np.testing.assert_allclose(result.trajectory.pose, again.trajectory.pose, atol=1e-5)
     assert result.total_nis == (pytest.approx(again.cost, rel=1e-6), again.dof)
-    # by the sensor model itself, not by factors
-    o, pose = inputs.observations, result.trajectory.pose
+    o, pose = inputs.observations, result.trajectory.pose  # by the sensor model itself, not by factors
     xy = inputs.map.xy if task == "localization" else landmark
     number = np.where(created >= 0, created, wrong)
     nu = inputs.sensor.residual(o.z, inputs.sensor.predict(pose[o.frame], xy[number]))

@@ -28,8 +28,7 @@ def circle(sensor, *, frames=60, landmarks=8, noise=1.0, seed=0, see=0.7, R=None
     step = np.array([0.4, 0.03, 0.17])
     for k in range(1, frames):
         truth[k] = se2.compose(truth[k - 1], step)
-    # neither diagonal nor aligned with anything: a wrong frame or order shows
-    M = np.diag(MOTION_SIGMA**2)
+    M = np.diag(MOTION_SIGMA**2)  # neither diagonal nor aligned with anything: a wrong frame or order shows
     M[0, 2] = M[2, 0] = 0.4 * MOTION_SIGMA[0] * MOTION_SIGMA[2]
     mean = np.vstack([np.zeros(3), step + noise * rng.multivariate_normal(np.zeros(3), M, frames - 1)])
     covariance = np.vstack([np.zeros((1, 3, 3)), np.tile(M, (frames - 1, 1, 1))])

@@ -50,8 +50,7 @@ EXACT_ONLY = {
 @dataclass(frozen=True)
 class Digest:
     exact: str  # beginning of the SHA-256 of its text
-    # rows, blanks: how many cells, and how many of them hold no number
-    rows: int
+    rows: int  # rows, blanks: how many cells, and how many of them hold no number
     blanks: int
     scale: float | None  # sum of the absolute values; None of a column of words
     sums: tuple[float, float]  # two weighted sums, in billionths of the scale

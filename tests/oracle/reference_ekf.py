@@ -18,9 +18,7 @@ def expected(kind, extrinsic, pose, landmark):
     body = np.array([[c, s], [-s, c]]) @ (landmark - pose[:2])
     c, s = np.cos(extrinsic[0]), np.sin(extrinsic[0])
     point = np.array([[c, -s], [s, c]]) @ body + np.asarray(extrinsic[1:])
-    if kind == 0:
-        return np.array([np.hypot(*point), np.arctan2(point[1], point[0])])
-    return point
+    return np.array([np.hypot(*point), np.arctan2(point[1], point[0])]) if kind == 0 else point
 
 
 def landmark_from(kind, extrinsic, pose, z):

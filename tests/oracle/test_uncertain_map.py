@@ -29,8 +29,7 @@ def dense(world, uncertain):  # noqa: F811
     """Mean and covariance of path and map together (2 N + 2 L,), by the posterior of a linear Gaussian model."""
     motions, _, heading, seen, start = world
     known, n = uncertain[0].map, 2 * (FRAMES + LANDMARKS)
-    # prior of everything: a chain of motions, and the map
-    mean, A = np.zeros(n), np.zeros((n, n))
+    mean, A = np.zeros(n), np.zeros((n, n))  # prior of everything: a chain of motions, and the map
     Q = np.zeros((n, n))
     mean[:2], Q[:2, :2] = start, P0
     A[:2, :2] = np.eye(2)

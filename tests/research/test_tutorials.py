@@ -20,8 +20,7 @@ def test_the_gain_is_formed_with_the_covariance_from_before_the_prediction():
     u, M, z, R = np.array([0.2, 0.01, 0.1]), np.diag([0.01, 0.02, 0.03]), np.array([[3.8, -0.4]]), np.diag([0.2, 0.1])
     f.predict(Increment(u, M))
     f.update(FrameObservations(z, R[None]), np.array([6]))
-    # by the book, but for P0 in the gain
-    c, s = np.cos(mean[2]), np.sin(mean[2])
+    c, s = np.cos(mean[2]), np.sin(mean[2])  # by the book, but for P0 in the gain
     B = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     F = np.eye(3)
     F[:2, 2] = -s * u[0] - c * u[1], c * u[0] - s * u[1]

@@ -145,8 +145,7 @@ def _estimate(
     if not live.any():
         return Components(error, error, redundancy, ratio, freedom, vague)
     for turn in range(most := ITERATIONS if len(theta) == len(share) else POOLED):
-        # Fisher's scoring; where that leads too far, the almost-unbiased estimate
-        part = np.ix_(live, live)
+        part = np.ix_(live, live)  # Fisher's scoring; where that leads too far, the almost-unbiased estimate
         scored, unbiased = np.ones(len(theta)), np.ones(len(theta))
         scored[live] = np.linalg.lstsq(S[part], (q - S[:, ~live].sum(1))[live], rcond=None)[0]
         unbiased[live] = q[live] / S.sum(1)[live]

@@ -166,8 +166,7 @@ class AuditReport:
         at = {some[k]: k for k in drawn.tolist()}
         ten = [at[i] for i in self.ranked.index[:TEN] if i in at]
         suspicion = LinearSegmentedColormap.from_list("suspicion", SUSPICION)
-        spatial = bool(np.nanmax(np.abs(place[:, 2]), initial=0.0) > FLAT)
-        views = [([0, 1], "y [m]"), ([0, 2], "z [m]")][: 1 + spatial]
+        views = [([0, 1], "y [m]"), ([0, 2], "z [m]")][: 1 + bool(np.nanmax(np.abs(place[:, 2]), initial=0.0) > FLAT)]
         with drawing():
             fig = Figure(figsize=(9.0, 4.2 * len(views)), layout="constrained")
             for of_view, (columns, y) in zip(fig.subplots(len(views), 2, squeeze=False), views, strict=True):
@@ -476,8 +475,7 @@ def _of_kind(kind: str, c: Array, e: Array, v: Array) -> list[Question]:
         if se < LARGEST and abs(expected) > APART and abs(found - expected) < SURE * se + SLACK:
             ratio_ = float(np.exp(found))
             out.append(Question(kind, convention, ratio_, ratio_ * se, float(np.exp(expected))))
-    # the stated number is the root of the information: component times root is 1 in each axis
-    off = c - v
+    off = c - v  # the stated number is the root of the information: component times root is 1 in each axis
     fits = float(np.sum(off**2 / (e**2 + SLACK**2))) < FITS
     if fits and max(by_turn, by_shift) < LARGEST and np.abs(v).max() > APART:
         found, se = mean(slice(0, 6), off)

@@ -52,8 +52,7 @@ class CameraEstimate:
 
     mean: Array  # (3,) f, c_u, c_v [px]
     covariance: Array  # (3, 3)
-    # pose: (N, 3); pose_covariance: (N, 3, 3), world frame
-    pose: Array
+    pose: Array  # pose: (N, 3); pose_covariance: (N, 3, 3), world frame
     pose_covariance: Array
     heights: Array  # (L, 2) m, upper and lower edge below the camera; NaN of a picture that was never found
     residual: float  # RMS of the pixels over their sigma

@@ -61,8 +61,7 @@ def _camera(log: str, pixel_sigma: str, camera_translation: str, camera_reading:
     found = opened.evidence.found
     if not len(found.frame):
         raise DataError(f"log {opened.name!r}: no picture was found in any image, so nothing tells the camera's K")
-    # the prior of K is from the size of the images alone
-    with Image.open(io.BytesIO(found.tiles[0][1])) as image:
+    with Image.open(io.BytesIO(found.tiles[0][1])) as image:  # the prior of K is from the size of the images alone
         width, height = image.size
     share, middle = SIZES
     mean = np.array([width, 0.5 * (width - 1), 0.5 * (height - 1)])

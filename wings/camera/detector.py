@@ -275,9 +275,7 @@ def shape_fault(pixels: Array, size: tuple[int, int], aspect: float) -> str | No
     ):
         return IMPLAUSIBLE_SHAPE
     # a pixel extends half a pixel beyond its centre
-    if np.any(pixels < -0.5) or np.any(pixels > np.array([size[1], size[0]]) - 0.5):
-        return OUTSIDE
-    return None
+    return OUTSIDE if np.any(pixels < -0.5) or np.any(pixels > np.array([size[1], size[0]]) - 0.5) else None
 
 
 def pinhole(xyz: Points, step: int = 8) -> Array | None:

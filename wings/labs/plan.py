@@ -78,9 +78,7 @@ def _matters(key: str, people: bool, odometry: bool) -> bool:
     """Whether a constant affects a condition; unknown ones do, and are refused later."""
     if key in WITH_PEOPLE:
         return people
-    if key.endswith("_blind"):
-        return not odometry
-    return odometry if key.endswith(("_move", "_turn")) else True
+    return not odometry if key.endswith("_blind") else odometry if key.endswith(("_move", "_turn")) else True
 
 
 def switched_on(log: Log) -> tuple[bool, bool]:

@@ -215,8 +215,7 @@ def _scans(path: Path, kind: str, lines: list[int], rows: list[list[bytes]]) -> 
         chosen.append([*fields[1:at], *fields[poses : poses + len(POSES)], fields[-TAIL], *fields[ranges : ranges + n]])
     most, rest = max(counts), (*head, *POSES, "stamp")
     names = (*rest, *(f"range {i}" for i in range(1, most + 1)))
-    padded = [[*f, *[b"0"] * (most - n)] for f, n in zip(chosen, counts, strict=True)]
-    values = number_rows(path, lines, padded, names)
+    values = number_rows(path, lines, [[*f, *[b"0"] * (most - n)] for f, n in zip(chosen, counts, strict=True)], names)
     ranges_of = values[:, len(rest) :]
     if len(wrong := np.argwhere(~(ranges_of >= 0.0))):  # NaN, too
         row, beam = wrong[0].tolist()

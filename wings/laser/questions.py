@@ -167,9 +167,7 @@ FEW_RETURNS = 0.02  # Share of beams with a return below which nothing can be ma
 def returns(_: Log, scans: Scans) -> list[Notice]:
     """Scans almost without returns: another unit, or a maximum that is too small."""
     share = float((scans.ranges > 0.0).mean())
-    if share > FEW_RETURNS:
-        return []
-    return [notice(Code.FEW_RETURNS, share=share, max_range=scans.scanner.max_range)]
+    return [] if share > FEW_RETURNS else [notice(Code.FEW_RETURNS, share=share, max_range=scans.scanner.max_range)]
 
 
 SMALLEST, LARGEST = 0.05, 60.0  # m, the middle range of scans in metres

@@ -56,8 +56,7 @@ def map_picture(grid: Grid, path: Array, *, name: str, estimator: str = "isam2",
     """The occupancy grid, dark where occupied, and an estimated path (N, 3) on it; metres, equal aspect."""
     fig = Figure()
     ax = fig.add_subplot()
-    # free space is white and what is unknown light grey, however often either was looked at
-    p = grid.probability
+    p = grid.probability  # free space is white and what is unknown light grey, however often either was looked at
     shade = np.where(
         grid.log_odds > 0.0, UNKNOWN_GREY * 2.0 * (1.0 - p), FREE_GREY - (FREE_GREY - UNKNOWN_GREY) * 2.0 * p
     )

@@ -107,8 +107,7 @@ def room_ahead(packet: Packet) -> float:
 
 def frontier(free: BoolArray, unknown: BoolArray) -> BoolArray:
     """Free cells (H, W) beside unknown areas of at least `GAP`, in rows as wide as the robot: walls have holes."""
-    beside = free & ndimage.binary_dilation(_large(unknown, GAP / CELL**2), AROUND)
-    return _large(np.asarray(beside), 2.0 * ROOM / CELL)
+    return _large(np.asarray(free & ndimage.binary_dilation(_large(unknown, GAP / CELL**2), AROUND)), 2.0 * ROOM / CELL)
 
 
 def _large(cells: BoolArray, least: float) -> BoolArray:

@@ -113,8 +113,7 @@ def aligning(estimate: Poses, truth: Poses, how: str) -> Similarity | None:
 
 def _yaw(C: Array) -> Array:
     """The rotation about z that is nearest to a matrix (3, 3)."""
-    angle = math.atan2(C[1, 0] - C[0, 1], C[0, 0] + C[1, 1])
-    return np.asarray(se3.exp_rotation(np.array([0.0, 0.0, angle])))
+    return np.asarray(se3.exp_rotation(np.array([0.0, 0.0, math.atan2(C[1, 0] - C[0, 1], C[0, 0] + C[1, 1])])))
 
 
 def tilts(estimate: Poses, truth: Poses) -> Array:

@@ -210,9 +210,7 @@ def rows_apart(a: GivenPath, b: GivenPath, at: int = 0) -> int | None:
 
 def _span(path: GivenPath) -> tuple[float, float]:
     """Span and median step of the stamps [s]."""
-    if len(path) < 2:
-        return 0.0, 0.0
-    return float(path.time[-1] - path.time[0]), float(np.median(np.diff(path.time)))
+    return (0.0, 0.0) if len(path) < 2 else (float(path.time[-1] - path.time[0]), float(np.median(np.diff(path.time))))
 
 
 def _plain_if_better(path: GivenPath, other: GivenPath) -> GivenPath:
@@ -408,8 +406,7 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     worlds = theirs.rotation @ np.swapaxes(ours.rotation, -1, -2)
     bodies = np.swapaxes(ours.rotation, -1, -2) @ theirs.rotation
     same_world = _spread(worlds) <= _spread(bodies)
-    # whether quaternions fit the truth's tilt when their first number is w
-    of = scipy.spatial.transform.Rotation
+    of = scipy.spatial.transform.Rotation  # whether quaternions fit the truth's tilt when their first number is w
     turned = of.from_quat(np.roll(of.from_matrix(ours.rotation.copy()).as_quat(), -1, axis=1)).as_matrix()
     fitted = np.median(tilts(Poses(ours.position, turned), theirs))
     first = bool(not both.estimate.stated.axes and _same_vertical(ours, theirs) and fitted < 0.5 * TILTED)

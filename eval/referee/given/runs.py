@@ -173,8 +173,7 @@ def _sagitta(time: Array, pose: Array, gap: float) -> float:
         return math.nan
     middle = middle[np.maximum(np.diff(time)[:-1], np.diff(time)[1:]) <= gap + SAME]
     share = (time[middle] - time[middle - 1]) / (time[middle + 1] - time[middle - 1])
-    made = _between(pose[middle - 1], pose[middle + 1], share)
-    off = np.hypot(*(made - pose[middle])[:, :2].T)
+    off = np.hypot(*(_between(pose[middle - 1], pose[middle + 1], share) - pose[middle])[:, :2].T)
     off = off[np.isfinite(off)]
     return float(0.25 * math.sqrt(np.mean(off**2))) if len(off) else math.nan
 

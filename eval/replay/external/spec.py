@@ -57,9 +57,7 @@ class Place:
         here = Path.cwd()
         if self.file and Path(self.file).is_relative_to(here):
             return f"{self.name}=./{Path(self.file).relative_to(here).as_posix()}:{self.attribute}"
-        if self.folder and Path(self.folder) == here:
-            return f"{self.name}={self.module}:{self.attribute}"
-        return self.text
+        return f"{self.name}={self.module}:{self.attribute}" if self.folder and Path(self.folder) == here else self.text
 
 
 def is_foreign(text: str) -> bool:

@@ -216,8 +216,7 @@ class Ledger:
         self._read = replace(sensor, max_range=0.0, min_angle=0.0, max_angle=0.0)  # the view that held observations
         self._touched: set[int] = set()
         nothing = np.empty(0, np.int64)
-        none = ConditionalInnovations(np.empty((0, 2)), np.empty((0, 2, 2)))
-        self._judged = Judged(nothing, nothing, none, [], [])
+        self._judged = Judged(nothing, nothing, ConditionalInnovations(np.empty((0, 2)), np.empty((0, 2, 2))), [], [])
         self._visibility = Visibility()
 
     def move(self, frame: Frame) -> None:

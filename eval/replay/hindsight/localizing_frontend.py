@@ -61,8 +61,7 @@ def watch(before: Health, offered: int, paired: int, nis: float, dof: int) -> He
     if offered == 0:
         return before
     unpaired = before.unpaired + _against_strays(before, offered, offered - paired)
-    # one instant full of misfits is one piece of evidence: its errors are not independent
-    r = constants.LOST_SCALE
+    r = constants.LOST_SCALE  # one instant full of misfits is one piece of evidence: its errors are not independent
     fit = 0.5 * (nis / max(before.scale, 1.0) * (1.0 - 1.0 / r) - dof * math.log(r))
     misfit = before.misfit + min(fit, constants.MISFIT_MOST * constants.ALARM)
     unpaired, misfit = max(0.0, unpaired), max(0.0, misfit)
@@ -139,9 +138,7 @@ class Stretches:
 
     def fix(self, fixes: Fixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
         """Update with absolute measurements of the pose."""
-        if "fix" not in self._can:
-            return not_used(fixes.dof)
-        return self._can["fix"].fix(fixes, sources, gate)
+        return not_used(fixes.dof) if "fix" not in self._can else self._can["fix"].fix(fixes, sources, gate)
 
     def close_loops(self, closures: Closures, gate: float | None) -> PoseUpdated:
         """Update with relative poses; not used: those of a frame of an earlier stretch."""

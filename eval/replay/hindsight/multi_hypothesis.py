@@ -58,8 +58,7 @@ def best_assignments(cost: Array, most: int, slack: float) -> list[tuple[float, 
         total, _, columns, allowed, fixed = heapq.heappop(problems)
         found.append((total, columns))
         limit = found[0][0] + slack
-        # the other assignments of this problem: the first that differs in a row, by row
-        left = allowed.copy()
+        left = allowed.copy()  # the other assignments of this problem: the first that differs in a row, by row
         for row in range(fixed, len(cost)):
             other = left.copy()
             other[row, columns[row]] = np.inf

@@ -213,9 +213,7 @@ def cut(text: str, most: int = LINES) -> tuple[str, str]:
         return text, ""
     ends = [m.end() for m in re.finditer(r"(?<=[\w)*`²%°])[.!?](?=\s+[^\Wa-z_]|\s+[*`])", text)]
     fitting = [e for e in ends if e <= most] or ends[:1]
-    if not fitting:
-        return text, ""
-    return text[: fitting[-1]].rstrip(), text[fitting[-1] :].strip()
+    return (text, "") if not fitting else (text[: fitting[-1]].rstrip(), text[fitting[-1] :].strip())
 
 
 def folded(text: str, summary: str, most: int = 420) -> tuple[Block, ...]:

@@ -51,9 +51,7 @@ def cell_texts(column: Sequence[Any]) -> list[str]:
 def _text(value: Any, numeric: bool, whole: bool) -> str:
     if not numeric:
         return {True: "yes", False: "no"}[value] if isinstance(value, bool) else str(value)
-    if whole:
-        return str(int(value))
-    return "0" if abs(float(value)) < NOTHING else number(float(value)).replace("-", "−")
+    return str(int(value)) if whole else "0" if abs(float(value)) < NOTHING else number(float(value)).replace("-", "−")
 
 
 def texts(frame: pd.DataFrame) -> list[list[str]]:
@@ -388,9 +386,7 @@ def _narrowed(cells: Sequence[Cells], size: str, room: float) -> list[Cells] | N
     widest = max(texts, key=lambda c: c.natural(size))
     word = max(text_width(w, size) for t in (widest.head, *widest.body) for w in t.split() or [""])
     width = max(widest.natural(size) - (total(cells, size) - room), widest.narrowest, word)
-    if width >= widest.natural(size):
-        return None
-    return [replace(c, width=width) if c is widest else c for c in cells]
+    return None if width >= widest.natural(size) else [replace(c, width=width) if c is widest else c for c in cells]
 
 
 def _named(frame: pd.DataFrame) -> tuple[list[Cells], list[str]]:

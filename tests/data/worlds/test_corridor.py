@@ -230,8 +230,7 @@ class TestNames:
             true = se2.between(log.truth.pose[:-1], log.truth.pose[1:])
             off = true - r.increments.mean[1:]
             d2 = np.einsum("ni,ni->n", off, np.linalg.solve(r.increments.covariance[1:], off[..., None])[..., 0])
-            # 99 % of what is stated; only a robot that keeps its velocity never turns in place
-            inside = d2 < 11.34
+            inside = d2 < 11.34  # 99 % of what is stated; only a robot that keeps its velocity never turns in place
             assert inside.all() if log.name.endswith("forward") else (inside == (np.abs(true[:, 2]) < 1.0)).all()
             back = np.array([-1.0, 0.0, 0.0]) - r.increments.mean[1]
             assert back @ np.linalg.solve(r.increments.covariance[1], back) > 11.34

@@ -130,8 +130,7 @@ def test_what_runs_away_is_cut_and_the_rest_of_the_map_is_shown():
 def test_ellipses_too_small_to_see_are_enlarged_by_a_round_factor_that_the_legend_states():
     view = View(np.zeros(2), np.array([100.0, 60.0]))
     assert enlargement(view, np.array([5.0, 5.0])) == 1
-    # 1.2 % of 100 m is 1.2 m: 0.1 m needs a factor of 12
-    assert enlargement(view, np.array([0.1, 0.1, 0.1])) == 20
+    assert enlargement(view, np.array([0.1, 0.1, 0.1])) == 20  # 1.2 % of 100 m is 1.2 m: 0.1 m needs a factor of 12
     assert enlargement(view, np.empty(0)) == 1
     # 3 mm against 1.2 % of 14 m
     certain = replace(FILTER.trajectory("online"), covariance=1e-6 * np.tile(np.eye(3), (FRAMES, 1, 1)))

@@ -114,16 +114,14 @@ def test_every_surface_says_the_same(j):
         assert mark.note in text
     assert mark.word.startswith("path: ") == (preferred and not j.covariances)
     assert mark.word.removeprefix("path: ") == j.verdict.value or j.verdict is Verdict.ONLY
-    # the overview of all logs
-    found = conclusion([j])
+    found = conclusion([j])  # the overview of all logs
     if j.measured:
         where = (Verdict.SMOOTHER, Verdict.EITHER, Verdict.FILTER, Verdict.NEITHER)
         assert [v for v in where if found[v.value]] == [j.verdict] * (j.verdict in where)
         assert bool(found["paths"]) == (preferred and not j.covariances)
     else:
         assert re.search(said, introduction([j]))
-    # the table of the report, and the one of the terminal
-    facts = as_json(j)
+    facts = as_json(j)  # the table of the report, and the one of the terminal
     (row,) = overview([(Trial(LOG, "slam", ()), j)], Path("nowhere"), drawn=False).rows
     unusable = [f"{r.estimator} {r.association}" for r in j.last if not r.usable]
     assert row.cells[-1].text == (f"{len(unusable)} of {len(j.last)}" if unusable else "0")

@@ -139,8 +139,7 @@ def test_a_unit_of_an_error_adds_to_the_odometry_what_a_world_with_that_error_re
     plain, small = named_log("arena:3:frames=60"), 1e-6
     (run,) = compare(plain.inputs(labels=True), "localization", ("dead-reckoning",))
     motion = plain.inputs().increments.mean
-    # where the odometry has no noise
-    path = [plain.inputs().prior.mean]
+    path = [plain.inputs().prior.mean]  # where the odometry has no noise
     for m in motion[1:]:
         c, s = np.cos(path[-1][2]), np.sin(path[-1][2])
         path.append(path[-1] + np.array([c * m[0] - s * m[1], s * m[0] + c * m[1], m[2]]))

@@ -132,8 +132,7 @@ def test_a_frame_as_thin_as_the_floor_is_in_no_nees_and_no_score():
 
 
 def test_an_exact_prior_is_left_out_and_bounds_of_nis_are_lower_behind_a_gate():
-    # Seen: one frame after an exact prior, NEES 15 725, of a run whose median is 1.8.
-    floor = 1e-10
+    floor = 1e-10  # Seen: one frame after an exact prior, NEES 15 725, of a run whose median is 1.8.
     P = np.tile(np.diag([1e-4, 2e-10, 1e-4]), (3, 1, 1))
     P[1, 1, 1] = 2.0 * THIN * floor
     P[2] = np.nan

@@ -69,8 +69,7 @@ def test_every_statistic_of_the_difference_has_its_expected_value():
     assert found["there_median"].expected == pytest.approx(stats.chi2(3).median(), abs=1e-6)
     assert found["there_semidefinite"][:2] == (1.0, 1.0)
     assert found["there_rms_x"][:2] == (pytest.approx(math.sqrt(5.0)), 1.0)
-    # three sigma exactly are inside
-    assert found["there_inside_x"][:2] == (1.0, pytest.approx(0.9973, abs=1e-4))
+    assert found["there_inside_x"][:2] == (1.0, pytest.approx(0.9973, abs=1e-4))  # three sigma exactly are inside
     assert found["there_largest"].value == 3.0
     assert math.isnan(found["there_largest"].expected)
     assert found["there_largest"].frame == 0

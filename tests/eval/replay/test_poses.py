@@ -54,8 +54,7 @@ def test_a_run_records_every_fix_and_every_closure(log, name, task):
         np.testing.assert_allclose(np.nansum(done.white**2, axis=1), done.nis)
         assert np.array_equal(np.isfinite(done.white).sum(axis=1), done.dof)
         assert done.gate is None
-    # landmark observations have innovations of their own
-    used = int((with_all.decisions >= 0).sum())
+    used = int((with_all.decisions >= 0).sum())  # landmark observations have innovations of their own
     assert with_all.total_nis[1] == 2 * used == with_all.innovations.dof.sum()
     assert compare(replace(inputs, fixes=None, closures=None), task, [name])[0].fixes is None
 

@@ -30,8 +30,7 @@ def test_what_is_known_of_the_errors_comes_with_the_run(inputs, task):
         assert found.mean.shape == found.sigma.shape == (80, 4)
         assert np.all(found.sigma[-1] < OF.sigma)
     assert (ekf.errors_final, batch.errors_online) == (None, None)
-    # the last frame has seen all that a smoother has
-    last = batch.errors_final
+    last = batch.errors_final  # the last frame has seen all that a smoother has
     assert np.all(np.abs(ekf.errors_online.mean[-1] - last.mean[-1]) < 2.0 * last.sigma[-1])
 
 

@@ -47,8 +47,7 @@ def test_the_answer_prefers_the_smoother_only_where_it_is_better_and_credits_lat
     worse = answered(FILTER, SMOOTHER | {"rmse_position_m": 0.2})
     assert "although it used less" in worse
     assert "Offline, use the smoother" not in worse
-    # Seen: 4.75 m beside 0.02 m, without a word.
-    newest = FILTER | {"estimator": "isam2", "rmse_position_m": 0.02}
+    newest = FILTER | {"estimator": "isam2", "rmse_position_m": 0.02}  # Seen: 4.75 m beside 0.02 m, without a word.
     text = answered(FILTER | {"rmse_position_m": 4.75}, newest, SMOOTHER | {"rmse_position_m": 0.01})
     assert "the difference is the filter's linearization" in text
     assert "ekf-iterated" in text
@@ -125,13 +124,11 @@ def test_the_best_by_its_decisions_is_no_good_with_a_path_worse_than_dead_reckon
     assert "association method gives a usable path" in text
     assert "(path 16.9 m where dead reckoning has 9.20 m)" in text
     assert "has the highest F1" not in text
-    # one of them is usable: it is the best, whatever the other's F1
-    rows[1] |= {"rmse_position_m": 3.0}
+    rows[1] |= {"rmse_position_m": 3.0}  # one of them is usable: it is the best, whatever the other's F1
     text = decided([reckoned, *rows], outcomes)
     best = "Without labels, nn (ekf: 20 FP and 10 FN in 100 decisions, F1 0.80) has the highest F1"
     assert f"{best} of those with a usable path (path 3.00 m" in text
-    # both are: the one with the better path is named, too
-    rows[0] |= {"rmse_position_m": 5.0}
+    rows[0] |= {"rmse_position_m": 5.0}  # both are: the one with the better path is named, too
     text = decided([reckoned, *rows], outcomes)
     assert "jcbb (ekf: 0 FP and 2 FN in 100 decisions, F1 0.99) has the highest F1 (path 5.00 m" in text
     assert "; nn (ekf: 20 FP and 10 FN in 100 decisions, F1 0.80) has the more accurate path" in text

@@ -321,8 +321,7 @@ def test_what_is_objected_to_stands_first_with_what_twins_show_if_there_are_any(
     assert set(frame["statistic"][:2]) == {"NIS per degree of freedom", "median of dᵀ(P_f − P_s)⁻¹d"}
     first = frame[frame["statistic"].str.startswith("median")].iloc[0]
     assert (first["value"], first["expected"]) == ("30.3", "1.46")
-    # 30.3, 30.31, ... 30.49
-    assert first["twins' median"] == "30.4"
+    assert first["twins' median"] == "30.4"  # 30.3, 30.31, ... 30.49
     assert first["twins, 5 to 95 %"] == "30.3 to 30.5"
     assert first["family-wise p"] == "0.048"
     frame = diagnosis.trust_frame(said(), terms=POLAR)

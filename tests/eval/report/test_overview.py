@@ -205,8 +205,7 @@ def test_a_small_map_shows_every_path_inside_its_frame_and_is_the_same_each_time
     assert svg.count("<polyline") == 2
     first = [tuple(map(float, p.split(","))) for p in svg.split('points="')[1].split('"')[0].split()]
     assert all(0.0 <= x <= 96.0 and 0.0 <= y <= 60.0 for x, y in first)
-    # standing, as the path does in the map figure
-    assert max(y for _, y in first) - min(y for _, y in first) > 50.0
+    assert max(y for _, y in first) - min(y for _, y in first) > 50.0  # standing, as the path does in the map figure
     assert drawn([(np.full((3, 2), np.nan), ("#000", 1.0))]) == ""
 
 

@@ -48,8 +48,7 @@ def by_differences(inputs, found, path, number, landmarks):
         increments=replace(clean.increments, mean=np.vstack([np.zeros(3), between(path[:-1], path[1:])])),
         observations=replace(o, z=inputs.sensor.predict(path[o.frame], landmarks[number])),
     )
-    # back to the log that errs: by fixed-point iteration
-    erring_log = clean
+    erring_log = clean  # back to the log that errs: by fixed-point iteration
     for _ in range(40):
         there = corrected_inputs(erring_log, systematics)
         off = pose_error(there.increments.mean, clean.increments.mean)
@@ -100,8 +99,7 @@ def test_estimated_errors_are_profiled_out_with_their_priors(task, names, sensor
     every = np.concatenate([motion, own_motion], 2), np.concatenate([readings, own_readings], 2)
     both = systematic(corrected, number, path, xy, *every)
     p = motion.shape[2]
-    # the slope of the cost beside that of the priors: none, at the optimum
-    prior = np.linalg.inv(P)
+    prior = np.linalg.inv(P)  # the slope of the cost beside that of the priors: none, at the optimum
     slope, curvature = both.score[p:] - prior @ size, both.information[p:, p:] + prior
     assert np.abs(np.linalg.solve(curvature, slope) / np.sqrt(np.diag(np.linalg.inv(curvature)))).max() < 0.05
     across = both.information[:p, p:] @ np.linalg.inv(curvature)

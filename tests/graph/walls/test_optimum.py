@@ -133,8 +133,7 @@ def test_as_it_comes_it_is_near_the_batch_solution_and_ends_with_it(sensor, task
     assert end.total_nis[1] == result.dof
     if task == "slam":
         assert worlds.differ(worlds.named_like(end.map, result.map).covariance, result.map.covariance) < 1e-4
-    # what left the window took its own variables along
-    left = len(short._engine.values().keys())
+    left = len(short._engine.values().keys())  # what left the window took its own variables along
     assert left <= 12 + (0 if task == "localization" else len(worlds.WALLS)) + 12 * len(worlds.WALLS)
     assert left < len(s._engine.values().keys()) / 2
 

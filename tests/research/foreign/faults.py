@@ -21,8 +21,7 @@ FACTOR, AMOUNT = "factor", "amount"
 
 @dataclass(frozen=True)
 class Fault:
-    # size: the strong one. kind: `FACTOR` of something that is 1 where sound, or `AMOUNT` that is 0
-    size: float
+    size: float  # size: the strong one. kind: `FACTOR` of something that is 1 where sound, or `AMOUNT` that is 0
     right: tuple[str, ...]  # patterns of `kind name` of findings that name it rightly, alone or in an "or"
     kind: str = AMOUNT
     tasks: tuple[str, ...] = ("localization", "slam")  # where it makes a difference

@@ -20,21 +20,17 @@ SWING = 0.35  # Share of the mean speed by which it swings
 @dataclass(frozen=True)
 class Shape:
     curve: Callable[[Generator], Array]  # draws the points (K, 2) of a path; their ends are left straight on
-    # speed: m/s on average. seconds, rate: s, Hz of the frames
-    speed: float
+    speed: float  # speed: m/s on average. seconds, rate: s, Hz of the frames
     seconds: float
     rate: float
-    # sigma: of both coordinates of a reading. reach: m. view: rad, full opening angle
-    sigma: tuple[float, float]
+    sigma: tuple[float, float]  # sigma: of both coordinates of a reading. reach: m. view: rad, full opening angle
     reach: float
-    # landmarks: their number; near, far: m, distance from the path; spacing: m, the least between two
-    landmarks: int
+    landmarks: int  # landmarks: their number; near, far: m, distance from the path; spacing: m, the least between two
     near: float
     far: float
     spacing: float
     pair: float  # m, distance of the close neighbour that one landmark in eight has
-    # along, across: m per sqrt(m) of odometry; turn: rad per sqrt(s)
-    along: float = 0.02
+    along: float = 0.02  # along, across: m per sqrt(m) of odometry; turn: rad per sqrt(s)
     across: float = 0.01
     turn: float = 0.01
     polar: bool = True  # range and bearing, else the relative point

@@ -31,8 +31,7 @@ FACTOR = 4.0  # By so much a sigma is misstated at most, up or down
 
 @dataclass(frozen=True)
 class Readings:
-    # sigma_range: m, sigma_bearing: rad, noise as it is
-    sigma_range: float
+    sigma_range: float  # sigma_range: m, sigma_bearing: rad, noise as it is
     sigma_bearing: float
     detection: float = 1.0  # probability that a landmark in view is read
     clutter: float = 0.0  # share of the readings that are of no landmark

@@ -23,8 +23,7 @@ def test_the_print_in_a_photo_is_found_where_its_solution_has_it(shared_data, tm
     assert re.fullmatch(r"object_03\.jpg: [a-z ]+", lines[2]), "why it was not"
     row, column = (float(v) for v in (folder / "example_01.sol").read_text().split()[:2])
     found = corners(lines[1])
-    # the solution is good to about 10 px
-    assert found[0] == pytest.approx([column, row], abs=10.0)
+    assert found[0] == pytest.approx([column, row], abs=10.0)  # the solution is good to about 10 px
     features, rms, sigma = (float(v) for v in re.findall(r"px; (\d+) .*?RMS ([\d.]+) px.*?σ ([\d.]+) px", lines[1])[0])
     assert features > 50
     assert 0.1 < rms < 2.0

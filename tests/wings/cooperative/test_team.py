@@ -139,8 +139,7 @@ def test_smoother_and_filter_agree_with_the_truth_as_they_claim(task):
             path = run.trajectory(run.phases[-1])
             assert np.nanmean(consistency.nees(path.pose, path.covariance, log.truth.pose, "pose")) < 15.0
         assert runs[2].last_step_sigma < 1e-3
-        # the newest pose knows the same, up to linearization
-        a, b = (r.trajectory(r.phases[-1]) for r in runs[1:])
+        a, b = (r.trajectory(r.phases[-1]) for r in runs[1:])  # the newest pose knows the same, up to linearization
         assert b.pose[-1] == pytest.approx(a.pose[-1], abs=0.5 * math.sqrt(np.linalg.eigvalsh(a.covariance[-1])[-1]))
         assert np.linalg.det(b.covariance[20]) < np.linalg.det(a.covariance[20])
 

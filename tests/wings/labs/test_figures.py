@@ -55,8 +55,7 @@ def test_a_map_has_true_points_and_path_faintly_below_and_people_that_are_landma
 
 def test_the_scene_is_the_square_around_truth_and_points_with_a_tenth_of_room_at_each_side(people):
     ax = people.axes[0]
-    # from the robot at the origin to two points 2 m ahead
-    assert ax.get_xlim() == pytest.approx((-0.2, 2.2))
+    assert ax.get_xlim() == pytest.approx((-0.2, 2.2))  # from the robot at the origin to two points 2 m ahead
     assert ax.get_ylim() == pytest.approx((-0.95, 1.45))
     assert ax.get_aspect() == 1.0
 

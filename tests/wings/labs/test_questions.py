@@ -42,8 +42,7 @@ def test_a_run_is_looked_at_as_counted_by_hand():
     assert (p.clutter, p.clutter_paired, p.clutter_initializing, p.clutter_again) == (3, 2, 1, 1)
     assert look(lab_run(BUSY, "nn"), BUSY).clutter_initializing == 0, "who is discarded initializes nothing"
     assert p.first_wrong == 2
-    # frames 0 and 1 are off by 0 and 0.3 m
-    assert p.before == pytest.approx(0.3 / math.sqrt(2.0))
+    assert p.before == pytest.approx(0.3 / math.sqrt(2.0))  # frames 0 and 1 are off by 0 and 0.3 m
     assert p.after == pytest.approx(0.3)
     assert p.apart == pytest.approx(0.5)
     assert p.off == pytest.approx(0.3), "placed from the pose predicted for the frame, off as the one before it"

@@ -139,8 +139,7 @@ def test_the_author_s_fit_regresses_y_on_x_with_weights_by_the_range_to_the_robo
         fit = fit_author(sensors, ranges)
         error = np.array([fit.rho - 0.8, fit.alpha - SONARS[RIGHT, 2]])
         nees.append(error @ np.linalg.solve(fit.cov, error))
-    # 12 readings: Student's t makes 2 x 10 / 8
-    assert np.mean(nees) == pytest.approx(2.5, abs=0.5)
+    assert np.mean(nees) == pytest.approx(2.5, abs=0.5)  # 12 readings: Student's t makes 2 x 10 / 8
     points = echo_points(sensors, ranges, sensors[:, 2])
     weights = np.exp(-np.sum(points**2, axis=1) / FADING)
     np.testing.assert_allclose(fit.weights, weights / weights.max(), rtol=1e-12)

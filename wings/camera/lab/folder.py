@@ -474,8 +474,7 @@ class Sources:
             return next(iter(candidates.items()))
         if candidates:
             raise DataError.at(self._folder, f"{', '.join(candidates)} each hold a {what}; one per folder is needed")
-        # a file that does not open is the most likely reason
-        if self._faults:
+        if self._faults:  # a file that does not open is the most likely reason
             raise self._faults[0]
         names = ", ".join(self._names) or "no files"
         raise DataError.at(self._folder, f"no {what} found (there: {names}); {right} is needed")

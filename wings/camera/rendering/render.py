@@ -224,8 +224,7 @@ class Room:
         flat_x = self._plan(0, eye, ray, depth) + beside[:, None]
         map_x = np.where(hits_wall, along.astype(np.float32), flat_x)
         wall_y = np.float32(g.room_height - g.camera_height) + self.down.astype(np.float32)[:, None] * depth
-        flat_y = self._plan(1, eye, ray, depth) + np.float32(self.below)
-        map_y = np.where(hits_wall, wall_y, flat_y)
+        map_y = np.where(hits_wall, wall_y, self._plan(1, eye, ray, depth) + np.float32(self.below))
         scale, half = np.float32(self.density), np.float32(0.5)
         x, y = scale * map_x - half, scale * map_y - half
         rgb = cv2.remap(self.painted, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

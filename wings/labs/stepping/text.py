@@ -42,8 +42,7 @@ class Step:
 
 
 def _say(macro: str, **facts: Any) -> str:
-    made = getattr(environment("wings.labs.stepping").get_template("steps.j2").module, macro)
-    return str(made(**facts)).strip("\n")
+    return str(getattr(environment("wings.labs.stepping").get_template("steps.j2").module, macro)(**facts)).strip("\n")
 
 
 def _wrapped(text: str) -> str:

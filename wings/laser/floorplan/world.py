@@ -129,8 +129,7 @@ def ways_of(rng: np.random.Generator, corridors: Sequence[Rect], rooms: Sequence
         centre.append(add(float(x0 + share[0] * w), float(y0 + share[1] * h)))
         target.append(centre[-1])
         if min(w, h) > 4.0:  # room enough to drive round
-            corner = rng.permutation(4)[:2]
-            at = [(x0 + (0.25 + 0.5 * (c % 2)) * w, y0 + (0.25 + 0.5 * (c // 2)) * h) for c in corner]
+            at = [(x0 + (0.25 + 0.5 * (c % 2)) * w, y0 + (0.25 + 0.5 * (c // 2)) * h) for c in rng.permutation(4)[:2]]
             round_it = [add(float(x), float(y)) for x, y in at]
             edge += [(centre[-1], round_it[0]), (round_it[0], round_it[1]), (round_it[1], centre[-1])]
             target += round_it

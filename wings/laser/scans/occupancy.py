@@ -112,8 +112,7 @@ def occupancy_grid(
     log_odds = np.zeros((int(height), int(width)))
     touched = np.full(log_odds.shape, -1, np.int32)
     _add_scans(at[:, :2] / resolution - low, ends / resolution - low, returned, log_odds, touched)
-    # rounded for files: 1.15, not 1.1500000000000001
-    return Grid(np.round(low * resolution, 9), resolution, log_odds)
+    return Grid(np.round(low * resolution, 9), resolution, log_odds)  # rounded for files: 1.15, not 1.1500000000000001
 
 
 TOLERANCE = 0.3  # m, by which a surface must lie before another, besides ...

@@ -71,9 +71,7 @@ def repeated(motion: Array, then: Travel, now: Travel) -> Array | None:
     """The last motion (3,) at the same rate: per metre of the wheels, or per second where they stand still."""
     if then.way > 0.0 and now.way > 0.0:
         return motion * (now.way / then.way)
-    if then.seconds > 0.0 and now.seconds > 0.0:
-        return motion * (now.seconds / then.seconds)
-    return None
+    return motion * (now.seconds / then.seconds) if then.seconds > 0.0 and now.seconds > 0.0 else None
 
 
 class Tracker:

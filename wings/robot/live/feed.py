@@ -117,8 +117,7 @@ class Feed:
         self.published = Published()  # read it from any thread; it is replaced as a whole
         self._known = [MapChanges(QUANTUM) for _ in range(estimators)]
         self._waiting: list[Taken] = []
-        # of the present minute: frames, and changes of each map
-        self._minute: list[Taken] = []
+        self._minute: list[Taken] = []  # of the present minute: frames, and changes of each map
         self._changes = [np.empty((0, 8))] * estimators
 
     def add(self, taken: Taken) -> None:

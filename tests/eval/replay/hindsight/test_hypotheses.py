@@ -89,8 +89,7 @@ def test_one_hypothesis_is_the_localizer():
         seen = FrameObservations(z, np.diag([1e-4, 1e-4])[None])
         assert b.observe(seen, k).decisions.tolist() == [k % 4]
         ekf.update(seen, np.array([k % 4]))
-        # others, in which an observation was a stray, have next to no weight
-        leader = b.members[0]
+        leader = b.members[0]  # others, in which an observation was a stray, have next to no weight
         assert leader.weight > -1e-3
         assert np.array_equal(leader.mean, ekf.estimate().mean)
         assert np.array_equal(leader.P, ekf.estimate().covariance)

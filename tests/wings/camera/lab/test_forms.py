@@ -75,8 +75,7 @@ def test_colours_may_be_fractions_of_1_or_of_255_as_the_first_frame_that_is_not_
     columns["rgb"][0] = 0
     expected = columns["rgb"]
     columns["rgb"] = columns["rgb"] * (white / 255.0)
-    # later frames may be nearly black: they are not taken for another scale
-    expected[3] = columns["rgb"][3] = 0
+    expected[3] = columns["rgb"][3] = 0  # later frames may be nearly black: they are not taken for another scale
     expected[3, 0, 0], columns["rgb"][3, 0, 0] = 1, white / 255.0
     frames = handmade.all_frames(open_lab(handmade.lab(tmp_path / "lab", columns=columns, form=form)))
     np.testing.assert_array_equal([f.rgb for f in frames], expected)

@@ -57,9 +57,7 @@ def evaluate(text: str, value: dict[str, float]) -> float:
             return above / enclosed("{", "}")
         if token in (r"\sin", r"\cos"):
             return float(getattr(np, token[1:])(factor()))
-        if token == r"\Delta":
-            return value[r"\Delta " + take()]
-        return float(token) if token.isdigit() else value[token]
+        return value[r"\Delta " + take()] if token == r"\Delta" else float(token) if token.isdigit() else value[token]
 
     result = total()
     assert not tokens
@@ -94,8 +92,7 @@ def test_the_evaluator_of_formulas_knows_arithmetic():
     assert evaluate(r"a\,\Delta t \sin\theta + 4 \cos(\theta + \theta)", value) == pytest.approx(2.5)
 
 
-# motion
-AFTER_X, AFTER_U = (rf"\dfrac{{\partial f}}{{\partial \mathbf{{{of}}}}} =" for of in "xu")
+AFTER_X, AFTER_U = (rf"\dfrac{{\partial f}}{{\partial \mathbf{{{of}}}}} =" for of in "xu")  # motion
 MOTIONS = [
     ((1.0, -2.0, 0.4), (0.3, 0.5), 0.25),
     ((0.0, 3.0, np.pi - 0.01), (0.8, 1.5), 0.1),

@@ -107,8 +107,7 @@ def test_the_plan_shows_each_picture_on_its_wall_with_its_number_behind_it():
     for i, middle in enumerate(CORNERS[:, :2].mean(axis=1)):
         box = numbers[str(i)].get_window_extent()
         at = ax.transData.inverted().transform(0.5 * (box.min + box.max))
-        # all hang facing the middle of the room
-        assert np.linalg.norm(at) > np.linalg.norm(middle) + 0.1
+        assert np.linalg.norm(at) > np.linalg.norm(middle) + 0.1  # all hang facing the middle of the room
         assert np.linalg.norm(at - middle) < 0.6
     assert not any(line.get_marker() == "+" for line in ax.lines)
     assert "pictures (number behind)" in [t.get_text() for t in fig.legends[0].get_texts()]

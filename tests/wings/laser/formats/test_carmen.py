@@ -206,8 +206,7 @@ def test_the_raw_odometry_of_the_intel_log_comes_back(intel):
     undone, raw = intel
     assert len(undone.recorded) == len(raw.recorded) == 13631
     difference = np.abs(undone.recorded.increments.mean - raw.recorded.increments.mean).max(axis=0)
-    # six significant digits of metres up to 50 from the origin, and of radians
-    assert difference[:2].max() < 2e-4
+    assert difference[:2].max() < 2e-4  # six significant digits of metres up to 50 from the origin, and of radians
     assert difference[2] < 1.6e-5
     frames, one, two = np.intersect1d(undone.recorded.scans.frame, raw.recorded.scans.frame, return_indices=True)
     assert len(frames) == 910

@@ -145,8 +145,7 @@ def halls(
         cut += [[*a, *b] for a, b in pairwise(ends)]
     lines = np.array(cut, float)
     glass = rng.random(len(lines)) < panes
-    # up one row and down another, at random
-    points, x = [np.array([0.5 * spacing, 1.5])], 0
+    points, x = [np.array([0.5 * spacing, 1.5])], 0  # up one row and down another, at random
     while len(points) < 60:
         following = int(np.clip(x + rng.integers(-3, 4), 0, rows))
         y = 1.5 if points[-1][1] < 0.5 * depth else depth - 1.5

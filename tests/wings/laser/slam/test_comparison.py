@@ -101,8 +101,7 @@ def test_with_enough_loop_closures_every_estimator_gets_the_scale_and_no_pose_mo
     assert 0.05 < factor < 1.5
     np.testing.assert_allclose(filtered.chain.covariance, factor * given.chain.covariance)
     np.testing.assert_allclose(filtered.loops.covariance, factor * given.loops.covariance)
-    # chi-square of the graph is that of its degrees of freedom, once the scale is in
-    nis, dof = smoothed.total_nis
+    nis, dof = smoothed.total_nis  # chi-square of the graph is that of its degrees of freedom, once the scale is in
     assert nis == pytest.approx(dof, rel=0.5)
     assert given.total_nis[0] == pytest.approx(factor * nis, rel=1e-3)
 
@@ -138,8 +137,7 @@ def test_corners_of_walls_are_landmarks_under_any_other_association(log, runs):
     assert run.status == "ok"
     assert run.state_size.shape == (len(log.recorded),)
     assert run.state_size[-1] == 3 + 2 * len(run.map)
-    # each frame hangs on its key pose as under scan matching
-    chain = runs["ekf"].chain
+    chain = runs["ekf"].chain  # each frame hangs on its key pose as under scan matching
     np.testing.assert_allclose(
         pose_error(between(run.online.pose[chain.frame[chain.key]], run.online.pose), chain.since), 0.0, atol=1e-9
     )

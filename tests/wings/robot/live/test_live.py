@@ -47,8 +47,7 @@ def test_killed_at_any_moment_the_robot_stops_and_the_log_replays_to_the_bit(tmp
         wait(lambda: true_path(truth)[-1, 0] > at + 1.0 + SLACK * speed + 0.5)
         path = true_path(truth)
     moving = np.flatnonzero(np.any(np.diff(path[:, 1:], axis=0) != 0.0, axis=1))
-    # s of the robot's time
-    assert path[moving[-1] + 1, 0] - at <= 1.0 + SLACK * speed
+    assert path[moving[-1] + 1, 0] - at <= 1.0 + SLACK * speed  # s of the robot's time
     written = written_bits(tmp_path / "now.csv", "ekf-fej")
     log = open_log(str(tmp_path / "log"))
     # what was recorded last may not have been estimated yet
