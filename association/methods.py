@@ -65,10 +65,9 @@ def ml_ratio(expectation: Expectation, gate: float | None, *, alpha: float = ALP
     # landmarks first: one with d^2 = alpha precedes "new", and the ratio discards it
     best = np.argmin(everything, axis=1)
     two = np.partition(everything, 1, axis=1)
-    clear = two[:, 1] > ratio * two[:, 0]
     winner = np.append(e.number, NEW)[best]
     inside = (best == d2.shape[1]) | (two[:, 0] < threshold)
-    return np.where(clear & inside, winner, DISCARD)
+    return np.where((two[:, 1] > ratio * two[:, 0]) & inside, winner, DISCARD)
 
 
 def singles(expectation: Expectation, gate: float | None) -> IntArray:

@@ -93,8 +93,7 @@ def confusion_figure(title: str, shown: Sequence[Bar]) -> Figure:
     height = 0.2 + 0.12 * max((n.count("\n") for n in names), default=0)
     fig = Figure(figsize=(page_width(), 1.35 + height * len(shown)))
     ax = fig.add_subplot()
-    rows = np.arange(len(shown))
-    left = np.zeros(len(shown))
+    rows, left = np.arange(len(shown)), np.zeros(len(shown))
     present = [p for p in PARTS if any(b.length(p.key) for b in shown)]
     for part in present:
         width = np.array([b.length(part.key) for b in shown], float)

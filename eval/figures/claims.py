@@ -279,8 +279,7 @@ def outlier_figure(table: pd.DataFrame, title: str) -> Figure:
         table: one row per task, estimator and rate, with the columns of `PANELS`; NaN values are gaps.
         title: what was studied.
     """
-    tasks = list(dict.fromkeys(table["task"]))
-    names = list(dict.fromkeys(table["estimator"]))
+    tasks, names = list(dict.fromkeys(table["task"])), list(dict.fromkeys(table["estimator"]))
     rates = sorted({float(r) for r in table["rate"]})
     rows = max(len(tasks), 1)
     columns = min(len(names) + 1, 4)

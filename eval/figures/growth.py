@@ -66,8 +66,7 @@ def growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
     robot.set_title("robot, online", loc="left")
     landmarks.set_title("landmarks in the last map, in order of initialization", loc="left")
     handles: Any = robot.get_legend_handles_labels()[0]
-    title = f"{log.name}: claimed σ along the least certain direction"
-    finish(fig, title, handles, 1 if len(handles) > 3 else 2)
+    finish(fig, f"{log.name}: claimed σ along the least certain direction", handles, 1 if len(handles) > 3 else 2)
     return fig
 
 

@@ -44,8 +44,7 @@ def _credible(shown: Sequence[Series]) -> Series | None:
     """The series that stands in for a missing truth: batch, or else the middle one by extent of those that finished."""
     good = [s for s in shown if s.run.flaw is None and s.run.estimator != "dead-reckoning"]
     good.sort(key=lambda s: float(np.ptp(s.trajectory.pose[:, :2], axis=0).max()))
-    batch = [s for s in good if s.run.estimator == "batch"]
-    return next(iter([*batch, *good[(len(good) - 1) // 2 :], *shown]), None)
+    return next(iter([*[s for s in good if s.run.estimator == "batch"], *good[(len(good) - 1) // 2 :], *shown]), None)
 
 
 def _anchor(log: Log, shown: Sequence[Series]) -> Array:

@@ -437,8 +437,7 @@ def _tails(e: Evidence, observations: Array) -> tuple[list[Explanation], Array]:
     if beyond > 0.0:
         even = free[1] * np.log1p(even / (free[1] * free[2]))
     gain, dof = best
-    outlying = int((e.residuals.squared > OUTLYING).sum())
-    finding = Finding(NOISE, "tails", "readings", dof, gain=gain, outliers=outlying)
+    finding = Finding(NOISE, "tails", "readings", dof, gain=gain, outliers=int((e.residuals.squared > OUTLYING).sum()))
     return [Explanation(finding, gain - penalty(e, 2), (), (SCALE,), beyond)], even
 
 

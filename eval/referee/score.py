@@ -218,8 +218,7 @@ def _innovation_columns(run: Run, phase: str, log: Log) -> dict[str, object]:
     if total is not None and total[1] > 0:
         expected = gated(run, phase)
         lower, upper = nis_bounds(total[1], expected)
-        nis = total[0] / total[1]
-        row |= {"nis": nis, "nis_expected": expected[0], "nis_lower": lower, "nis_upper": upper}
+        row |= {"nis": total[0] / total[1], "nis_expected": expected[0], "nis_lower": lower, "nis_upper": upper}
     return row
 
 

@@ -231,11 +231,10 @@ class AutomaticParking(Parking):
         slam, pairings, self._pairings = self.slam, self._pairings, 0
         if slam.created < LEAST:
             return
-        used = slam.size + slam.carried
         active = slam.active
         idle = active[self._last[active] < self._frame - KEPT]
         needed = 2 * (slam.size - 2 * len(idle))
-        self._excess += (STEP + PAIRING * pairings) * max(used**2 - needed**2, 0)
+        self._excess += (STEP + PAIRING * pairings) * max((slam.size + slam.carried) ** 2 - needed**2, 0)
         parked = 2 * len(slam.parked)
         cost = PRODUCT * parked**2 * slam.carried + MOVED * (parked + 2 * len(idle)) * len(idle)
         if len(idle) and self._excess > cost:

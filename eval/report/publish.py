@@ -197,8 +197,7 @@ def _write_map(place: Path, trial: Trial, run: Run) -> None:
         if run.task != "slam" or bare or run.failure is not None:
             return
         raise AssertionError(f"{run.estimator} did SLAM but returned no map")
-    known = run.task == "localization"
-    ids = m.number if known else landmark_true_ids(named(run), identified(trial.log), m.number)
+    ids = m.number if run.task == "localization" else landmark_true_ids(named(run), identified(trial.log), m.number)
     near, until = ambiguous(run, trial.log.recorded), np.full(len(m), -1, np.int64)
     for n in [] if run.left is None else run.left.tolist():  # of those that left the map: their last observation
         until[m.number == n] = trial.log.recorded.observations.frame[run.final_decisions == n].max(initial=-1)

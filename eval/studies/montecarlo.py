@@ -303,8 +303,7 @@ def failed_declarations(judged: Sequence[Judged]) -> list[Judged]:
     """
     declared = [j for j in judged if j.declared and j.verdict.runs + j.diverged >= consistency.MIN_RUNS]
     tested = [j for j in declared if math.isfinite(j.verdict.p_value)]
-    rejected = consistency.holm_rejected([j.verdict.p_value for j in tested])
-    bad = [j for j, r in zip(tested, rejected, strict=True) if r]
+    bad = [j for j, r in zip(tested, consistency.holm_rejected([j.verdict.p_value for j in tested]), strict=True) if r]
     return bad + [j for j in declared if j.diverged and j not in bad]
 
 

@@ -371,10 +371,9 @@ def joint_covariances(s: Structure, t: Triangle, sets: Sequence[IntArray]) -> li
     least = [np.where(each >= 0, each, t.d.shape[0]).min(axis=1, initial=t.d.shape[0]) for each in sets]
     home = np.searchsorted(s.column, np.concatenate(least), side="right") - 1
     order = np.argsort(home, kind="stable")
-    first = np.searchsorted(home[order], np.arange(len(s.parent) + 1))
     at, at_out = np.append(0, np.cumsum(width)), np.append(0, np.cumsum(width**2))
     out = np.zeros(at_out[-1])
-    _covariances(s, t, first, order, column, at, out, at_out)
+    _covariances(s, t, np.searchsorted(home[order], np.arange(len(s.parent) + 1)), order, column, at, out, at_out)
     ends = np.cumsum(size * wide**2)
     return [out[e - n * k * k : e].reshape(n, k, k) for e, n, k in zip(ends, size, wide, strict=True)]
 

@@ -239,8 +239,7 @@ def gallery(g: Gallery, seed: int) -> Scene:
     corners = _hang(g, layout)
     time = np.arange(g.frames) / g.rate
     # True v and omega (N, 2), loop after loop: straight, half circle, straight, half circle.
-    straight = max(round(g.straight / g.speed * g.rate), 1)
-    turn = max(round(math.pi / g.turn_rate * g.rate), 1)
+    straight, turn = max(round(g.straight / g.speed * g.rate), 1), max(round(math.pi / g.turn_rate * g.rate), 1)
     rate = math.pi / turn * g.rate
     lap = np.repeat([[g.straight / straight * g.rate, 0.0], [rate * g.turn_radius, rate]], [straight, turn], axis=0)
     true = np.asarray(lap[np.arange(g.frames) % len(lap)])

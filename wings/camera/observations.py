@@ -130,9 +130,8 @@ def log_of(
     label = pictures.CORNERS * np.repeat(found.picture, pictures.CORNERS) + corner
     z = found.points[..., [0, 2]].reshape(-1, 2)
     R = noise_of(found, noise).reshape(-1, 2, 2)
-    frame = np.repeat(found.frame, pictures.CORNERS)
     usable = np.isfinite(z).all(axis=1)
-    observations = Observations(frame[usable], z[usable], R[usable])
+    observations = Observations(np.repeat(found.frame, pictures.CORNERS)[usable], z[usable], R[usable])
     sensor = RelativePoint(rotation=setup.rotation, translation=setup.translation)
     inputs = inputs_of(setup, found.time, np.stack([found.v, found.omega], 1), observations, sensor)
     true_id = None

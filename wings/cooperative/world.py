@@ -87,11 +87,10 @@ def _drive(world: Team, k: int, time: Array, rng: np.random.Generator) -> tuple[
     dt, way = 1.0 / world.odometry_rate, 1.0 if k % 2 == 0 else -1.0
     radius, angle = world.radius * (1.0 - 0.5 * k / world.robots), 2.0 * math.pi * k / world.robots - 0.5 * math.pi
     at = dt * np.arange(math.ceil(time[-1] / dt) + 1)
-    v = np.full(len(at), world.speed)
     omega = way * world.speed / radius + world.swing * np.sin(2.0 * math.pi * at / 15.0)
     x, y = radius * math.cos(angle), world.radius + radius * math.sin(angle)
     start = np.array([x, y, angle + 0.5 * math.pi * way])
-    return driven(dt, v, omega, time, start, (world.sigma_v, world.sigma_omega), rng)
+    return driven(dt, np.full(len(at), world.speed), omega, time, start, (world.sigma_v, world.sigma_omega), rng)
 
 
 def _encounters(world: Team, k: int, paths: Array, rng: np.random.Generator) -> tuple[IntArray, Array, Array, IntArray]:

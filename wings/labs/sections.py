@@ -411,9 +411,8 @@ class OverSeeds:
 
     def _compared(self, column: str, larger: Case, smaller: Case) -> Compared:
         off = self.of(column, larger) - self.of(column, smaller)
-        n = len(off)
+        mean, n = float(off.mean()), len(off)
         half = float(scipy.stats.t.ppf(0.975, n - 1) * off.std(ddof=1) / np.sqrt(n))
-        mean = float(off.mean())
         return Compared(column, larger, smaller, mean, mean - half, mean + half, int((off * mean < 0.0).sum()), n)
 
     def nearer(self, column: str) -> int:

@@ -59,8 +59,7 @@ def room(seed: int) -> Room:
     walls = [_box(0.0, 0.0, width, depth)]
     taken = [(0.0, 0.0, start[0] + 0.5, start[1] + 0.5)]
     if rng.random() < 0.5:
-        x = rng.uniform(0.4, 0.6) * width
-        length = rng.uniform(0.3, 0.5) * depth
+        x, length = rng.uniform(0.4, 0.6) * width, rng.uniform(0.3, 0.5) * depth
         walls.append(np.array([[[x, depth], [x, depth - length]]]))
         taken.append((x, depth - length, x, depth))
     boxes = int(rng.integers(1, 5))
@@ -97,8 +96,7 @@ def cast(room: Room, poses: Array, half_angle: float = CONE_HALF_ANGLE) -> Echo:
     of the perpendicular, an end, or where it meets an edge. A half angle of 0 is a beam, pi the whole circle.
     """
     poses = np.asarray(poses, float)
-    a = room.segments[None, :, 0] - poses[:, None, :2]
-    b = room.segments[None, :, 1] - poses[:, None, :2]
+    a, b = room.segments[None, :, 0] - poses[:, None, :2], room.segments[None, :, 1] - poses[:, None, :2]
     e = b - a
     length2 = np.sum(e * e, axis=-1)
     share = np.clip(-np.sum(a * e, axis=-1) / length2, 0.0, 1.0)  # of the nearest point, were the cone all round
@@ -120,11 +118,10 @@ def cast(room: Room, poses: Array, half_angle: float = CONE_HALF_ANGLE) -> Echo:
     far = np.take_along_axis(far, which, axis=0)[0]  # (N, S)
     wall = np.argmin(far, axis=1)
     rows = np.arange(len(poses))
-    distance = far[rows, wall]
     point = np.take_along_axis(points, which[..., None], axis=0)[0][rows, wall]
     along = np.abs(np.sum(point * e[rows, wall], axis=-1))
     norm = np.sqrt(length2[0, wall]) * np.hypot(point[:, 0], point[:, 1])
-    return Echo(distance, np.arcsin(np.clip(along / np.where(norm > 0.0, norm, 1.0), 0.0, 1.0)))
+    return Echo(far[rows, wall], np.arcsin(np.clip(along / np.where(norm > 0.0, norm, 1.0), 0.0, 1.0)))
 
 
 def clearance(room: Room, point: Array) -> float:

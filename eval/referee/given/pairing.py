@@ -403,9 +403,8 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
         if level > 1e-6:
             yield notice(Code.TILT, tilt=math.degrees(tilt), poses=int(known.sum()))
         return
-    worlds = theirs.rotation @ np.swapaxes(ours.rotation, -1, -2)
     bodies = np.swapaxes(ours.rotation, -1, -2) @ theirs.rotation
-    same_world = _spread(worlds) <= _spread(bodies)
+    same_world = _spread(theirs.rotation @ np.swapaxes(ours.rotation, -1, -2)) <= _spread(bodies)
     of = scipy.spatial.transform.Rotation  # whether quaternions fit the truth's tilt when their first number is w
     turned = of.from_quat(np.roll(of.from_matrix(ours.rotation.copy()).as_quat(), -1, axis=1)).as_matrix()
     fitted = np.median(tilts(Poses(ours.position, turned), theirs))

@@ -96,8 +96,7 @@ class DetectionRates:
         of each; `reach` [m]: as far as can be seen.
         """
         sigma = SIGMAS * np.sqrt(HPHt[:, [0, 1], [0, 1]])
-        seen = self.sensor.in_view(z_hat, margin_range=-sigma[:, 0], margin_angle=self._edge(sigma))
-        inside = np.flatnonzero(seen)
+        inside = np.flatnonzero(self.sensor.in_view(z_hat, margin_range=-sigma[:, 0], margin_angle=self._edge(sigma)))
         distance = self.sensor.polar(z_hat[inside])[:, 0]
         return inside, np.minimum((distance / reach * BINS).astype(np.int64), BINS - 1)
 
@@ -282,8 +281,7 @@ class Hypotheses:
         z, R = z.copy(), R.copy()  # as in `predict`
         z_hat, S = self._expect(h)
         S += R[0]
-        alone = Choice(row, DISCARD, h.past)
-        found = [Hypothesis(h.mean, h.P, h.weight + self._stray, alone, h.taken, h.squares)]
+        found = [Hypothesis(h.mean, h.P, h.weight + self._stray, Choice(row, DISCARD, h.past), h.taken, h.squares)]
         for j in np.flatnonzero(self._inside(z, z_hat, S)).tolist():
             number = int(self.map.id[j])
             if number in h.taken:

@@ -92,9 +92,8 @@ def clear_of(trace: Array, outline: Array) -> bool:
     e = np.roll(outline, -1, axis=0) - outline
     from_corner = near[:, None] - outline
     u = np.clip((from_corner * e).sum(2) / (e * e).sum(1), 0.0, 1.0)
-    distance = np.linalg.norm(from_corner - u[:, :, None] * e, axis=2).min()
     outside = (e[:, 0] * from_corner[:, :, 1] - e[:, 1] * from_corner[:, :, 0] < 0.0).any(axis=1)
-    return bool(distance > CLEARANCE and outside.all())
+    return bool(np.linalg.norm(from_corner - u[:, :, None] * e, axis=2).min() > CLEARANCE and outside.all())
 
 
 def ways_of(rng: np.random.Generator, corridors: Sequence[Rect], rooms: Sequence[Rect], doors: Sequence[Door]) -> Ways:

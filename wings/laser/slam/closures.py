@@ -84,9 +84,8 @@ class LoopCloser:
         apart = apart[old]
         # candidates, whatever their uncertainty: the nearest, if these are enough; others follow from it
         chosen = nearest_first(old, np.where(apart <= p.loop_distance, apart, np.inf), p.loop_apart, p.loops_per_key)
-        recent = np.arange(max(newest - p.wait, 0), newest + 1)
         enough = len(chosen) == p.loops_per_key
-        wanted = np.concatenate([chosen if enough else old, recent])
+        wanted = np.concatenate([chosen if enough else old, np.arange(max(newest - p.wait, 0), newest + 1)])
         known = self.edges.project(newest, wanted)
         if not enough:
             spread = np.sqrt(known[: len(old), 0, 0] + known[: len(old), 1, 1])
