@@ -97,6 +97,12 @@ class Fixes(_Known):
         return self.frame
 
     @property
+    def placed(self) -> tuple[IntArray, Array, float]:
+        """Frames and positions of those that have some, and their usual standard deviation [m]."""
+        rows = np.flatnonzero(self.kind != FixKind.HEADING)
+        return self.frame[rows], self.z[rows, :2], math.sqrt(np.median(self.covariance[rows, 0, 0])) if len(rows) else 0
+
+    @property
     def dof(self) -> IntArray:
         """Degrees of freedom (F,) of each."""
         return np.array([len(MEASURED[FixKind(kind)]) for kind in self.kind.tolist()], np.int64)
@@ -272,7 +278,7 @@ def onto_fixes(fixes: Fixes, mean: Array, covariance: Array) -> Start | None:
     way = np.append(0.0, np.hypot(*np.diff(path[:, :2], axis=0).T).cumsum())[fixes.frame[rows]]
     lever = np.array([(*source.lever, 0.0) for source in fixes.sources])[fixes.source[rows]]
     path = se2.compose(path[fixes.frame[rows]], lever)[:, :2]
-    sigma = math.sqrt(float(np.median(fixes.covariance[rows, 0, 0])))
+    sigma = fixes.placed[2]
     new = np.diff(way // max(FAR, sigma), prepend=-1.0) > 0.0  # errors at one place are alike: they count once
     count = np.maximum(np.cumsum(new), 1)
     spread = np.cumsum(new[:, None] * path**2, axis=0) - np.cumsum(new[:, None] * path, axis=0) ** 2 / count[:, None]

@@ -698,9 +698,31 @@ STRETCHES, SHARP = (
 )  # Parts of a log, in each of which odometry drifts little; as `PLAIN`, since a bias turns, too
 
 
+def _by_way(log: Log) -> list[Explained]:
+    """Places of fixes, or true ones without headings, that are all farther apart than odometry says, or all nearer."""
+    r, truth, kind = log.recorded, log.truth, str(log.source.get(ODOMETRY_KIND, "velocities"))
+    speeds = {} if kind == "ticks" else readings.SPEEDS if kind == "velocities" else readings.METRES
+    parts = [("fixes", *f.placed) for f in (r.fixes,) if f is not None]
+    if truth.pose is not None and not truth.has_headings:
+        known = np.flatnonzero(np.isfinite(truth.pose[:, 0]))
+        parts.append((Part.TRUTH.value, known, truth.pose[known, :2], 1.0))
+    for of, frame, place, sigma in parts:
+        if (share := witnesses.way_share(r.increments, frame, place, sigma)) is None:
+            continue
+        sizes = {u: 1.0 / k for u, k in readings.METRES.items()} if share > 1.0 else dict(speeds)
+        if share < 1.0 and (datum := cast("list[float]", log.source.get("datum"))) and abs(datum[0]) < 0.5 * math.pi:
+            sizes["rad"] = min(max(share, DEG), DEG / math.cos(datum[0]))  # more to the east than to the north
+        unit = min(sizes, key=lambda u: abs(math.log(share / sizes[u])), default="")
+        named = unit if unit and abs(math.log(share / sizes[unit])) < LARGER else ""
+        kinds = (Kind.UNIT if named else Kind.SCALE, of if share > 1.0 or named in ("", "rad") else "v")
+        off, left = (2.0 * abs(s - 1.0) / (s + 1.0) for s in (share, share / sizes[named] if named else 1.0))
+        return _told(*kinds, f"{of} and odometry", off, left, named, share)
+    return []
+
+
 def contradictions(log: Log) -> list[Notice]:
     """A question about parts of a log that contradict each other, and agree if they are read otherwise."""
-    found = explanations(case_of(log)) or _mirrored(log)
+    found = explanations(case_of(log)) or _by_way(log) or _mirrored(log)
     # of a laser log the scans tell lengths of the odometry from all lengths
     if not found or (found[0].witness == SIZE and log.recorded.scans is not None):
         return []

@@ -36,7 +36,8 @@ def flags_of(r: Reading, log: Log) -> tuple[str, ...]:
     bearings = "observations.y" if cartesian else "observations.bearing"
     columns = {
         "v": lengths, "omega": angles, "range": ranges, "bearing": bearings,
-        Part.MAP: "map.x,map.y", Part.TRUTH: "truth.x,truth.y", "stamps of observations": "observations.t",
+        Part.MAP: "map.x,map.y", Part.TRUTH: "truth.x,truth.y", "fixes": "fixes.x,fixes.y",
+        "stamps of observations": "observations.t",
         **{key: key for key in ("map.x", "map.y", "truth.x", "truth.y", "truth.theta")},
         "bearing and omega": f"{angles},{bearings}", "truth and map": "truth.y,truth.theta,map.y",
         "truth's mirror": "truth.y,truth.theta", "v and omega": "odometry.v,odometry.omega",
@@ -53,6 +54,8 @@ def flags_of(r: Reading, log: Log) -> tuple[str, ...]:
         way = [key.partition(".")[2] for key in lengths.split(",")]
         keyed = dict.fromkeys([*way, *["range"] * (not cartesian), *["x", "y"] * placed])
         return ("--unit " + ",".join(f"{key}={r.unit}{'/s' * (key == 'v')}" for key in keyed),)
+    if r.unit == "rad":
+        return ("--unit lat=rad,lon=rad",)
     keys = ["time"] if r.unit == "min" and r.of == "v and omega" else columns.get(r.of, "").split(",")
     if r.kind in (Kind.UNIT, Kind.SIDE) or r.unit == "row" or (r.kind == Kind.STRANGE and r.unit):
         pairs = [f"{key}={_unit(log, key, r)}" for key in keys]

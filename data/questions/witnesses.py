@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from data import se2
-from data.inputs import IntArray
+from data.inputs import Increments, IntArray
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, Log
 from data.se2 import Array, BoolArray, between, dead_reckoned, inverse, transform_points, wrap_angle
 from data.timeline import truth_at
@@ -298,6 +298,31 @@ def truth_and_odometry(c: Case, s: Samples) -> list[Fit | None]:
             rows = large > np.quantile(large, 0.3) if len(large) else np.zeros(0, bool)
             found.append(fit_of(off[rows], large[rows], noise[rows]))
     return found
+
+
+ALIKE, GROW, SURE = 1.3, 2.0, 5.0
+"""Largest ratio of shares of parts of a way, which noise and drifting headings make unlike; least growth of a part from
+a quarter to the whole, smaller of noise and circles; least length over its noise."""
+
+
+def way_share(moved: Increments, frame: IntArray, place: Array, sigma: float) -> float | None:
+    """How far apart places (F, 2) at frames (F,), with errors of `sigma` [m], are of what increments say; None where
+    parts of the way tell different shares, or one between half and twice.
+    """
+    path, shares = dead_reckoned(np.zeros(3), moved.mean)[frame, :2], list[float]()
+    spread = np.trace(moved.covariance[:, :2, :2], axis1=1, axis2=2).cumsum()[frame]
+    way = np.append(0.0, np.hypot(*np.diff(path, axis=0).T).cumsum())
+    for most in (8, 16, 32, 64, 128) if len(path) else ():
+        rows = [(i, later[i]) for n in (1, 2, 4) for later in [np.searchsorted(way, way + (way[-1] or 1.0) / most / n)]
+                for i in [np.flatnonzero(later < len(path))] if len(i) >= FEWEST]  # fmt: skip
+        own, said = ([float(np.median(np.hypot(*(p[j] - p[i]).T))) for i, j in rows] for p in (place, path))
+        sure = all(d > SURE * math.sqrt(np.median(spread[j] - spread[i])) for d, (i, j) in zip(said, rows, strict=True))
+        if len(rows) < 3 or not sure or said[0] <= GROW * said[2] or (own[0] > said[0] and own[0] <= SURE * sigma):
+            continue
+        shares = [max(a, 1e-9) / b for a, b in zip(own, said, strict=True)]
+        if max(shares) < ALIKE * min(shares):
+            return shares[0] if abs(math.log(shares[0])) > math.log(2.0) else None
+    return None
 
 
 def observations_and_map(c: Case, s: Samples) -> list[Fit | None]:

@@ -15,6 +15,7 @@ from fnmatch import fnmatchcase
 from functools import partial
 from itertools import groupby
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
@@ -56,6 +57,7 @@ class TextTable:
     named: bool
     decimal_comma: bool = False
     cut: str = ""  # what is said of rows that are left out, or end before the header
+    steps: int = 0  # rows of which each has any number of observations, one for each row of the odometry
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -148,9 +150,9 @@ def _separator(lines: Sequence[str]) -> str:
     return held[0] if held else ","
 
 
-def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0) -> TextTable:
+def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, seen: bool = False) -> TextTable:
     """The file's rows, of FILE:WORD those with that word; DataError if unreadable, binary, empty, or unequal. `stated`:
-    names of columns; `odometry`: rows of it; both for arrays.
+    names of columns; for arrays; `odometry`: rows of it; `seen`: each may have a row of several observations.
     """
     if len(parts := parts_of(path)) > 1:
         return _joined(path, parts)
@@ -184,7 +186,14 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0) -> Te
         line = next((i for i, line in plain if line.count('"') % 2), plain[0][0])
         raise DataError.at(path, "a quote that is not closed within its line", line=line)
     number = np.array([i for i, _ in plain], np.int64)
+    every = np.array([i for i, line in lines if not line.lstrip().startswith(COMMENT)])
     names: tuple[str, ...] | None = None
+    if seen and (found := _by_rows(rows, np.searchsorted(every, number).tolist(), len(every), odometry)):
+        names, rows, row_of = found
+        said = (
+            f"inferred: a row for each of the odometry, of any number of observations of columns {','.join(names[:-1])}"
+        )
+        return TextTable(path, names, tuple(rows), number[row_of], named=True, cut=said, steps=len(every))
     if not _is_row(rows[0]):
         names, rows, number = rows[0], rows[1:], number[1:]
     else:
@@ -237,6 +246,29 @@ def _each(rows: Sequence[Sequence[str]]) -> int:
     if count not in (2, 3) or len(set(map(len, rows))) < SLOTS or not all(map(is_number, itertools.chain(*rows))):
         return 0
     return count if all(float(a[0]) <= float(b[0]) for a, b in itertools.pairwise(rows)) else 0
+
+
+def _by_rows(
+    rows: Sequence[Sequence[str]], at: Sequence[int], count: int, steps: int
+) -> tuple[tuple[str, ...], list[tuple[str, ...]], list[int]] | None:
+    """Names, rows and the row of each of observations of two or three numbers, any number of them behind the same words
+    in rows `at` some of `count`, one for each of the odometry's; None: others, or behind ascending stamps.
+    """
+    rows = [row[: max((j + 1 for j, f in enumerate(row) if f), default=0)] for row in rows]
+    longest = max(rows, key=len)
+    lead = next((j for j, f in enumerate(longest) if is_number(f)), len(longest))
+    each = {2: 2, 3: 3, 4: 2}.get(math.gcd(*(len(row) - lead for row in rows)), 0)
+    alike = all(row[:lead] == longest[:lead] and all(map(is_number, row[lead:])) for row in rows)
+    unequal = len({*map(len, rows), *[lead] * (count > len(rows))}) > 1
+    if not (each and alike and unequal and at[-1] <= steps <= count):
+        return None
+    found = [(k, row[j : j + each]) for k, row in enumerate(rows) for j in range(lead, len(row), each)]
+    a, b = np.array([o[-2:] for _, o in found], float).T
+    if (np.diff([float(row[lead]) for row in rows if len(row) > lead]) >= 0.0).all():
+        return None
+    points = each == 2 and bool((a < 0.0).any() or np.abs(b).max() > math.degrees(3.0 * math.pi))
+    names = [str(k + 1) for k in range(lead + each)][: -2 if points else None] + ["x", "y"] * points
+    return (*names, "frame"), [(*longest[:lead], *o, str(at[k])) for k, o in found], [k for k, _ in found]
 
 
 def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
@@ -470,6 +502,12 @@ class Columns:
                 near = did_you_mean(quantity, QUANTITIES) if unheard else did_you_mean(role, self.roles)
                 known = f"{', '.join(QUANTITIES)}, each also as in odometry.t (files: {', '.join(self.roles)})"
                 raise UsageError(f"--columns {key}={name}: unknown quantity {key!r}{near}; known: {known}")
+
+    @property
+    def quiet(self) -> Self:
+        """The same, for a look at the files that leaves nothing behind."""
+        units = replace(self.units, given=dict(self.units.given))
+        return replace(self, units=units, used=set(), read=set(), notes=[], asked=[], datum=[], origins={})
 
     def stated(self, role: str, quantities: Collection[str]) -> bool:
         """Whether a column of this role is stated for one of the quantities."""

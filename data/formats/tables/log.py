@@ -14,7 +14,7 @@ from data.columns import appearance
 from data.columns.appearance import of_observations
 from data.columns.parts import IDS, KIND, landmarks_of
 from data.columns.poses import RELATIVE
-from data.csv_table import Table, is_name
+from data.csv_table import Table, is_name, is_number
 from data.digest import file_sha256
 from data.errors import DataError, UsageError, unknown
 from data.formats.messages import file_and_word, parts_of
@@ -31,6 +31,7 @@ from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Lo
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
 from data.origin import Origin, Origins
 from data.pose_measurements import FAR, LOOSE, Closures, Fixes, FixKind, FixSource, onto_fixes
+from data.questions.witnesses import way_share
 from data.se2 import Array, BoolArray
 from data.sensors import RangeBearing, Sensor
 from data.terminal import counted
@@ -177,7 +178,9 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
     if values == ("range", "bearing") and columns.find(file, role, "range") is None:
         what = f"bearings without a range: {file.described()}; name its column, as in --columns {own}range=DIST"
         raise DataError.at(file.path, f"{what}; if there are only bearings, --observation-sigma has one number")
-    keys, stamped = _instants(file, wanted, role, odometry, ("t",), ("frame",))
+    in_turn = odometry.rows[np.isfinite(odometry.rows)]
+    each, steps = _rows_a_step(file, of, wanted, len(in_turn))
+    keys, stamped = ((), False) if each else _instants(file, wanted, role, odometry, ("t",), ("frame",))
     numbers = (*IDS, *(q for q in of.looked if q == appearance.DESCRIPTOR))
     table, skipped = columns.table(
         file, role, (*values, *keys), optional=numbers, texts=of.looked, may_be_blank=numbers
@@ -197,7 +200,17 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
             other = f"{own}range={name_of['bearing']},{own}bearing={name_of['range']}"
             hint = f", and no bearing is: if they are exchanged, --columns {other}"
         table.require(z[:, 0] >= 0.0, "range", "{} is a negative range" + hint)
-    at = _at(table, keys, stamped, odometry, notes)
+    if "frame" in table and 0 < file.steps < len(odometry.rows):  # a row for each step, which leads to the next pose
+        table.columns["frame"] += 1.0
+    at = np.zeros((len(z), 1)) if each else _at(table, keys, stamped, odometry, notes)
+    if each:
+        step, i = np.divmod(np.searchsorted(file.line, table.line), each)
+        at, seen, (far, turn) = in_turn[-steps:][step, None], np.full((steps, each, 2), np.nan), of.sensor.polar(z).T
+        seen[step, i] = np.column_stack([far * np.cos(turn), far * np.sin(turn)])
+        ids, said = _landmarks_in_turn(seen, of, wanted)
+        if len(ids) and not {*IDS} & {*table.columns}:
+            table = replace(table, columns={**table.columns, "label": ids[i].astype(float)})
+        notes.append(f"{file.path.name}: inferred: {counted(each, 'observation')} in each of {steps} rows{said}")
     what = f"{OBSERVATIONS} of {name}" if name else OBSERVATIONS
     nothing = np.zeros(len(z), np.int64)
     found = Rows(what, "observation", table, at, stamped, z, np.tile(of.sigma, (len(z), 1)), nothing)
@@ -207,6 +220,40 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
         notes.append(f"{file.path.name}: {back} observations were stamped before the one above{anew}; sorted")
         found = found.part(np.argsort(at[:, 0], kind="stable"))
     return found
+
+
+def _rows_a_step(file: TextTable, of: TableSensor, wanted: Wanted, poses: int) -> tuple[int, int]:
+    """How many observations without stamp or frame each step has, or each pose, and how many of these there are; 0."""
+    own = [*wanted.texts.values()].count(file) == 1
+    c, *more = (wanted.columns.find(file, of.role, q) for q in (of.measured[0], "t", "frame", of.measured[-1]))
+    rows = max((k + 1 for k, row in enumerate(file.rows) if row[c or 0]), default=1)
+    found = [n for n in (poses, poses - 1) if n and rows % n == 0 and (n == poses or wanted.kind == "steps")]
+    others = [v for k, v in enumerate(zip(*file.rows, strict=True)) if own and k not in (c, more[2])]
+    stamps = [v for v in others if all(map(is_number, v)) and (np.diff(np.array(v, float)) >= 0.0).all()]
+    if not found or more[:2] != [None, None] or any(v[0] != v[-1] for v in stamps):  # of another name
+        return 0, 0
+    return rows // found[0], found[0]
+
+
+def _landmarks_in_turn(seen: Array, of: TableSensor, wanted: Wanted) -> tuple[IntArray, str]:
+    """The landmark of each observation, in the order of the map, or always the same ones, of points `seen` (K, n, 2)
+    from K poses, if distances from each to the next say so, and what says so; else none.
+    """
+    texts, apart = wanted.texts, np.hypot(*np.moveaxis(seen - np.roll(seen, 1, axis=1), -1, 0))
+    known = _map(texts["map"], replace(wanted, columns=wanted.columns.quiet)) if "map" in texts else None
+    ids = np.arange(seen.shape[1]) if known is None else known.id
+    right = np.nanmedian(apart, axis=0)
+    if known is not None and len(ids) == seen.shape[1]:
+        if len(of.measured) == 1:
+            return ids, "; assumed: the i-th of a row is landmark i of the map"
+        right = np.hypot(*(known.xy - np.roll(known.xy, 1, axis=0)).T)
+    beams = known is None and np.nanstd(np.arctan2(*seen[:, 0].T)) < TURNED_BY  # of a scan, which show no landmarks
+    if not 1 < len(ids) == seen.shape[1] or beams or np.nanmean(np.abs(apart - right)) >= FIT * np.mean(right):
+        return np.zeros(0, np.int64), ""
+    return ids, f"; inferred: the i-th of a row is landmark i{' of the map' * (known is not None)}, as distances fit"
+
+
+FIT, TURNED_BY = 0.2, 1e-6  # Largest share by which distances differ; rad, least deviation of bearings of landmarks
 
 
 def joined(
@@ -266,7 +313,9 @@ def _between(wanted: Wanted) -> bool:
     steps, *true = (sum(row[c or 0] != "" for row in of.rows) for of, c in places)
     frames = [of.numbers(c, np.ones(len(of), bool)).max(initial=0.0) for role, of in texts.items()
               if of is not file and (c := columns.find(of, role, "frame")) is not None]  # fmt: skip
-    return true == [steps + 1] or max(frames, default=0.0) == steps
+    turns = [_rows_a_step(texts[s.role], s, wanted, steps + 1) for s in wanted.sensors]
+    more = any(n > steps and each * n % steps for each, n in turns)
+    return true == [steps + 1] or max(frames, default=0.0) == steps or more
 
 
 def read_log(name: str, wanted: Wanted) -> Recording:
@@ -617,8 +666,9 @@ def _prior(
     free = wanted.prior is None and pose is None and known is None
     start = onto_fixes(fixes, moved.mean, moved.covariance) if free and fixes is not None else None
     if start is not None and fixes is not None and _agree(fixes, moved, start.pose):
-        wanted.columns.origins["prior"] = Origin.INFERRED
-        wanted.columns.notes.append(start.text)
+        fits, text = way_share(moved, *fixes.placed) is None, start.text
+        wanted.columns.origins["prior"] = Origin.INFERRED if fits else Origin.ASSUMED
+        wanted.columns.notes.append(text if fits else text.replace("inferred", "assumed").partition(", which")[0])
         return Prior(start.pose, np.diag(start.sigma**2))
     if wanted.prior is None:
         if pose is not None or known is not None or fixes is not None:
@@ -635,7 +685,9 @@ def _prior(
             raise UsageError("--prior truth: --truth FILE is needed")
         ahead = _ahead(pose, moved.mean) if np.isfinite(pose[0, :2]).all() and np.isnan(pose[0, 2]) else None
         if ahead is not None:
-            told = f"{math.degrees(ahead):.3g} deg within {math.degrees(LOOSE):g} deg, which takes odometry to truth"
+            told = f"{math.degrees(ahead):.3g} deg within {math.degrees(LOOSE):g} deg"
+            there = np.flatnonzero(np.isfinite(pose[:, 0]))
+            told += ", which takes odometry to truth" * (way_share(moved, there, pose[there, :2], 1.0) is None)
             wanted.columns.notes.append(f"the truth has no heading; that of the prior is {told}")
             sigma = np.maximum(wanted.prior_sigma, [0.0, 0.0, LOOSE])
             return Prior(np.append(pose[0, :2], ahead), np.diag(sigma**2))

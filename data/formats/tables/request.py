@@ -159,9 +159,10 @@ def _sensor(
         own, where = f"{name}." if name else "", "or their file with --observations"
         what = f"no observations: {file.described()}; range and bearing, or x and y in the sensor's frame, are needed"
         numbered = Counter(re.sub(r"\d+$", "*", name) for name in file.names if file.named)
-        star = next((name for name, n in numbered.most_common(1) if n > 1), "")
+        star = next((name for name, n in numbered.most_common(1) if n > 1 and name != "*"), "")
+        a, b = ("DIST", "ANGLE", *(name for name in file.names if file.named and name.isdecimal()))[-2:]
         where += f"; of a column for each landmark as in --columns {own}range={star}" * bool(star)
-        raise DataError.at(file.path, f"{what}; name them as in --columns {own}range=DIST,{own}bearing=ANGLE, {where}")
+        raise DataError.at(file.path, f"{what}; name them as in --columns {own}range={a},{own}bearing={b}, {where}")
     sees = of.get("sees") or ""
     if "sees" in of and not is_name(sees):
         raise UsageError(f"--sees {sees}: a kind of landmark is needed, as in tree")
@@ -325,8 +326,9 @@ def settle(given: Given) -> Wanted:
         columns.notes.append(f"lengths of flags without a unit are in {given[LENGTH]}, as --unit states")
     # a file with several roles is read once
     read: dict[Path, TextTable] = {}
-    for path in dict.fromkeys(files.values()):
-        read[path] = table_files.read_text(path, named.values(), len(next(iter(read.values()), ())))
+    for role, path in files.items():
+        count, seen = len(next(iter(read.values()), ())), role in (OBSERVATIONS, *several)
+        read |= {path: table_files.read_text(path, named.values(), count, seen=seen)} if path not in read else {}
     texts = {role: read[path] for role, path in files.items()}
     columns.notes += [f"{path.name}: {table.cut}" for path, table in read.items() if table.cut]
     for role, table in texts.items():

@@ -220,3 +220,42 @@ def test_latitudes_in_rad_and_a_column_for_two_quantities(convert):
         z = convert(files, *words, "--unit", unit)[0].recorded.fixes.z
         assert z[:, :2] == pytest.approx(POSE[:, :2], rel=5e-3, abs=0.03)
     assert "column t is named for t and x" in convert(files, *words, "--columns", "fixes.x=t,fixes.y=lat", status=2)
+
+
+def test_observations_without_stamps_are_in_the_order_of_the_steps(convert):
+    """Seen: as many rows a step as landmarks, or rows of several points, were refused, as they had no t or frame."""
+    off = PLACES - POSE[1:, None, :2]
+    seen = np.stack([np.hypot(*off.T), wrap_angle(np.arctan2(*off.T[::-1]) - POSE[1:, 2])], axis=-1).transpose(1, 0, 2)
+    files = {"o.csv": text("dx,dy,dtheta", between(POSE[:-1], POSE[1:])), "truth.csv": text("x,y,theta", POSE)}
+    files |= {"map.csv": text("x,y", PLACES), "z.csv": text("range,bearing", seen.reshape(-1, 2))}
+    words = ("table", "o.csv", "out", "--observations", "z.csv", "--truth", "truth.csv")
+    for more in (("--map", "map.csv"), ()):
+        log, said = convert(files, *words, *more, "--period", "0.1s")
+        assert log.recorded.observations.frame.tolist() == np.repeat(np.arange(1, 300), 4).tolist()
+        assert (log.label.tolist(), "landmark i" in said, "warning" in said) == ([0, 1, 2, 3] * 299, True, False)
+    mixed = np.random.default_rng(0).permuted(seen, axis=1).reshape(-1, 2)
+    assert convert(files | {"z.csv": text("range,bearing", mixed)}, *words, "--map", "map.csv")[0].label is None
+    few = files | {"z.csv": text("range,bearing", seen.reshape(-1, 2)[1:])}
+    assert "no column 'frame'" in convert(few, *words, status=2)
+    points = np.stack([seen[..., 0] * f(seen[..., 1]) for f in (np.cos, np.sin)], axis=-1)
+    rows = [",".join(map(str, points[k, : (0 if k == 7 else 1 + k % 4)].ravel().tolist())) for k in range(299)]
+    o = convert(files | {"z.csv": "\n".join(rows) + "\n"}, *words)[0].recorded.observations
+    assert np.bincount(o.frame)[6:12].tolist() == [2, 3, 0, 1, 2, 3]
+    assert o.z[:3] == pytest.approx(np.concatenate([points[0, :1], points[1, :2]]), abs=1e-9)
+    named = files | {"z.csv": "bearing\n" + "1\n2\n1\n" * 100}
+    assert "is named for" in convert(named, *words, "--columns", "observations.range=bearing", status=2)
+
+
+@pytest.mark.parametrize(("size", "wanted"), [(1.0, "lat=rad,lon=rad"), (1e3, "fixes.x=mm,fixes.y=mm")])
+def test_places_in_another_unit_contradict_the_odometry(convert, size, wanted):
+    """Seen: latitudes in rad were read as degrees without a word, and a start inferred from them."""
+    place = 5.0 * POSE[:, :2] * size
+    degrees = np.column_stack([48.0 + place[:, 1] / 111194.0, 11.0 + place[:, 0] / 74625.0])
+    fixes = text("t,lat,lon", T, np.radians(degrees)) if size == 1.0 else text("t,x,y", T, place)
+    files = {"o.csv": text("t,v,omega", T, 5.0 * V, OMEGA), "gps.csv": fixes}
+    words = ("table", "o.csv", "out", "--fixes", "gps.csv", "--fix-sigma", "0.1,0.1")
+    log, said = convert(files, *words)
+    assert (f"`--unit {wanted}`" in said, "which takes odometry" in said) == (True, False)
+    assert log.origins["prior"] is Origin.ASSUMED
+    log, said = convert(files, *words, "--unit", wanted)
+    assert ("contradict" in said, log.recorded.prior.mean[2]) == (False, pytest.approx(0.0, abs=0.05))
