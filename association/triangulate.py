@@ -91,8 +91,7 @@ def _starts(each: EachSensor, pose: Array, z: Array) -> list[Array]:
     centre = np.array(own)
     ranges = [i for i in range(m) if 0 in each.sensors[i].measures]
     if len(ranges) >= 2:
-        pairs = itertools.combinations(ranges, 2)
-        i, j = max(pairs, key=lambda p: float(np.hypot(*(centre[p[0]] - centre[p[1]]))))
+        i, j = max(itertools.combinations(ranges, 2), key=lambda p: float(np.hypot(*(centre[p[0]] - centre[p[1]]))))
         starts += _circles(centre[i], z[i, 0], centre[j], z[j, 0])
     bearings = [i for i in range(m) if 1 in each.sensors[i].measures]
     if len(bearings) >= 2:

@@ -60,7 +60,6 @@ def drawn(like: Appearance, landmark: Appearance, row: IntArray, rng: np.random.
         known = (row >= 0) & (true >= 0) & (category >= 0)
         # another class: one of the C - 1 others, all alike
         step = 1 + np.minimum((other * (len(like.names) - 1)).astype(np.int64), max(len(like.names) - 2, 0))
-        wrong = (chance < like.error) & (len(like.names) > 1)
-        read = np.where(wrong, (true + step) % max(len(like.names), 1), true)
+        read = np.where((chance < like.error) & (len(like.names) > 1), (true + step) % max(len(like.names), 1), true)
         category[known] = read[known]
     return Appearance(descriptor, like.sigma, category, like.error, like.names)

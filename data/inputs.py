@@ -132,8 +132,7 @@ class Frame(NamedTuple):
         seen = FrameObservations(self.observations.z[begin:stop], self.observations.R[begin:stop])
         sensor = None if self.sensor is None else self.sensor[begin:stop]
         looks = None if self.appearance is None else self.appearance.only(slice(begin, stop))
-        first = self.first + begin
-        return self._replace(observations=seen, label=label, first=first, sensor=sensor, appearance=looks)
+        return self._replace(observations=seen, label=label, first=self.first + begin, sensor=sensor, appearance=looks)
 
     def by_sensor(self) -> list[Frame]:
         """The frame in parts of one sensor each; one part without several sensors."""

@@ -178,8 +178,7 @@ def shortened(log: Log, n: int) -> Log:
     kept = t.relations
     if kept is not None:
         stamps = _rows(kept.frame_stamp, slice(n))
-        inside = (kept.row1 < n) & (kept.row2 < n)
-        kept = replace(replace(kept, frame_stamp=None).only(inside), frame_stamp=stamps)
+        kept = replace(replace(kept, frame_stamp=None).only((kept.row1 < n) & (kept.row2 < n)), frame_stamp=stamps)
     truth = replace(
         t, pose=_rows(t.pose, slice(n)), landmark_of=_rows(t.landmark_of, slice(m)), relations=kept,
         errors=None if t.errors is None else t.errors._replace(mean=t.errors.mean[:n], sigma=t.errors.sigma[:n]),

@@ -79,12 +79,10 @@ class VisualRecording(Protocol):
 class Found:
     """Detections in a recording of N frames: D detections, ascending by frame."""
 
-    # time, v, omega: (N,) of the frames
-    time: Array
+    time: Array  # time, v, omega: (N,) of the frames
     v: Array
     omega: Array
-    # frame, picture, inliers: (D,); pixels (D, 4, 2), points (D, 4, 3) as in `Detection`
-    frame: IntArray
+    frame: IntArray  # frame, picture, inliers: (D,); pixels (D, 4, 2), points (D, 4, 3) as in `Detection`
     picture: IntArray
     inliers: IntArray
     pixels: Array

@@ -111,8 +111,7 @@ def dead_reckoned(start: Array, increments: Array) -> Array:
     before = np.concatenate([start[2:], heading[:-1]])
     c, s = np.cos(before), np.sin(before)
     dx, dy = increments[:, 0], increments[:, 1]
-    x = start[0] + np.cumsum(c * dx - s * dy)
-    return np.stack([x, start[1] + np.cumsum(s * dx + c * dy), heading], axis=-1)
+    return np.stack([start[0] + np.cumsum(c * dx - s * dy), start[1] + np.cumsum(s * dx + c * dy), heading], axis=-1)
 
 
 def interpolate(times: Array, poses: Array, at: Array) -> Array:

@@ -13,8 +13,7 @@ def skew(v: Array) -> Array:
     """Cross product matrices (..., 3, 3) of vectors (..., 3)."""
     x, y, z = np.moveaxis(np.asarray(v, float), -1, 0)
     o = np.zeros_like(x)
-    rows = [[o, -z, y], [z, o, -x], [-y, x, o]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return np.stack([np.stack(row, axis=-1) for row in [[o, -z, y], [z, o, -x], [-y, x, o]]], axis=-2)
 
 
 def exp_rotation(phi: Array) -> Array:

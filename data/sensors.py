@@ -81,8 +81,7 @@ def measure(
     dx, dy = first - pose[0], second - pose[1]
     bx, by = c * dx + s * dy, -s * dx + c * dy
     px, py = ce * bx - se * by + extrinsic[1], se * bx + ce * by + extrinsic[2]
-    # A: d z / d p_s, then through the extrinsic to d z / d p_b
-    if kind != RELATIVE_POINT:
+    if kind != RELATIVE_POINT:  # A: d z / d p_s, then through the extrinsic to d z / d p_b
         r = math.sqrt(px * px + py * py)
         z_hat[0] = r
         z_hat[1] = math.atan2(py, px)
@@ -104,8 +103,7 @@ def measure(
         a00, a01, a10, a11 = 1.0, 0.0, 0.0, 1.0
     b00, b01 = a00 * ce + a01 * se, -a00 * se + a01 * ce
     b10, b11 = a10 * ce + a11 * se, -a10 * se + a11 * ce
-    # d p_b / d l = R(theta)^T = -d p_b / d p;  d p_b / d theta = (b_y, -b_x)
-    Hl[0, 0] = b00 * c - b01 * s
+    Hl[0, 0] = b00 * c - b01 * s  # d p_b / d l = R(theta)^T = -d p_b / d p;  d p_b / d theta = (b_y, -b_x)
     Hl[0, 1] = b00 * s + b01 * c
     Hl[1, 0] = b10 * c - b11 * s
     Hl[1, 1] = b10 * s + b11 * c

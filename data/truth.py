@@ -32,11 +32,9 @@ class Relations(Locked):
 class BadTruth:
     """A window of bad ground truth (`data.truth_windows`)."""
 
-    # first, last: frames
-    first: int
+    first: int  # first, last: frames
     last: int
-    # start, end: s of the log's recording (`Log.clock`), rounded outwards to ms
-    start: float
+    start: float  # start, end: s of the log's recording (`Log.clock`), rounded outwards to ms
     end: float
     off: float  # median distance of observations from what the truth predicts, in robust sigmas; NaN: there are none
     carried: float  # the same from what the odometry predicts; NaN: it was not needed

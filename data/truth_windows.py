@@ -134,8 +134,7 @@ def scored(log: Log, excluded: Sequence[tuple[float, float]] = (), *, keep: bool
     rest = without(log, excluded)
     found = () if keep else bad_truth(rest)
     pose = without(rest, [(w.start, w.end) for w in found]).truth.pose
-    truth = replace(log.truth, pose=pose, left_out=found, excluded=tuple(excluded), screened=True)
-    return replace(log, truth=truth)
+    return replace(log, truth=replace(log.truth, pose=pose, left_out=found, excluded=tuple(excluded), screened=True))
 
 
 def unscored(log: Log, time: Array) -> BoolArray:

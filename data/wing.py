@@ -124,8 +124,7 @@ class Wing:
 @cache
 def wings() -> tuple[Wing, ...]:
     """Ours by name, then those of others. UsageError: an entry point that cannot be imported, or is no `Wing`."""
-    folders = resources.files("wings").iterdir()
-    ours = sorted(f.name for f in folders if f.is_dir() and (f / "__init__.py").is_file())
+    ours = sorted(f.name for f in resources.files("wings").iterdir() if f.is_dir() and (f / "__init__.py").is_file())
     found = [import_module(f"wings.{name}").wing for name in ours]
     for entry in metadata.entry_points(group=GROUP):
         try:

@@ -36,8 +36,7 @@ class ForwardPrior(_Stated):
     covers moves of 1 m and turns in place, and excludes a metre backwards (3.75 sigma).
     """
 
-    # step_mean, step_sigma: m, along the heading of the frame before
-    step_mean: float
+    step_mean: float  # step_mean, step_sigma: m, along the heading of the frame before
     step_sigma: float
     lateral_sigma: float  # m, across it
     turn_sigma: float  # rad
@@ -59,12 +58,10 @@ class ConstantVelocityPrior(_Stated):
     poses together, and increments would differ between estimators.
     """
 
-    # velocity, velocity_sigma: m/s, along the heading
-    velocity: float
+    velocity: float  # velocity, velocity_sigma: m/s, along the heading
     velocity_sigma: float
     lateral_sigma: float  # m/s, across it
-    # turn_rate, turn_rate_sigma: rad/s
-    turn_rate: float
+    turn_rate: float  # turn_rate, turn_rate_sigma: rad/s
     turn_rate_sigma: float
 
     def increments(self, time: Array) -> Increments:

@@ -71,8 +71,7 @@ def correct(motion: Array, errors: Array, mount: Array, mean: Array, A: Array, G
     c, s = size * math.cos(angle), size * math.sin(angle)
     vx, vy = ux + qx - mount[0], uy + qy - mount[1]
     mean[0], mean[1], mean[2] = c * vx - s * vy, s * vx + c * vy, turn
-    # by e: half of the extra turn precedes the step, all of it moves the mount
-    ex, ey = -0.5 * uy - qy, 0.5 * ux + qx
+    ex, ey = -0.5 * uy - qy, 0.5 * ux + qx  # by e: half of the extra turn precedes the step, all of it moves the mount
     dx, dy = c * ex - s * ey, s * ex + c * ey
     A[0, SCALE], A[1, SCALE], A[2, SCALE] = c * rx - s * ry, s * rx + c * ry, 0.0
     A[0, CURVATURE], A[1, CURVATURE], A[2, CURVATURE] = d * dx, d * dy, d
@@ -189,8 +188,7 @@ def stated(way: Array, errors: Array, mount: Array, leftwards: bool, m: Array, b
     ch, sh = math.cos(half) / scale, math.sin(half) / scale
     x, y = ch * ux + sh * uy, ch * uy - sh * ux
     m[0], m[1], m[2] = x, y, t
-    # by u and the turn
-    tx, ty, tt = -slope * Dx / (scale * more), -slope * Dy / (scale * more), 1.0 / more
+    tx, ty, tt = -slope * Dx / (scale * more), -slope * Dy / (scale * more), 1.0 / more  # by u and the turn
     xx, xy, xt = ch - 0.5 * y * tx, sh - 0.5 * y * ty, 0.5 * y * (1.0 - tt)
     yx, yy, yt = -sh + 0.5 * x * tx, ch + 0.5 * x * ty, -0.5 * x * (1.0 - tt)
     by_way[0, 0], by_way[0, 1], by_way[0, 2] = xx * c - xy * s, xx * s + xy * c, xx * qy - xy * qx + xt
@@ -232,8 +230,7 @@ class SensorFrame:
 
     mount: Array  # (3,) pose of the sensor on the robot (zero: the robot's own frame)
     origin: Array  # (2,) m, centre of the world's scaling
-    # range_at, bearing_at: indices of these errors among those estimated, -1: not estimated
-    range_at: int
+    range_at: int  # range_at, bearing_at: indices of these errors among those estimated, -1: not estimated
     bearing_at: int
 
     @property

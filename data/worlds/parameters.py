@@ -191,8 +191,7 @@ def reported(values: Imperfect, increments: Increments, seed: int) -> tuple[Incr
         rng = np.random.default_rng(np.random.SeedSequence([seed, DRIFT_STREAM]))
         each[:, DRIFT] = values.drift * _wandering(np.hypot(mean[:, 0], mean[:, 1]), rng)
     names = tuple(name for name, v in size.items() if v)
-    there = [list(ERRORS).index(name) for name in names]
-    true = Systematics(names, each[:, there], np.zeros((len(mean), len(names))))
+    true = Systematics(names, each[:, [list(ERRORS).index(name) for name in names]], np.zeros((len(mean), len(names))))
     of_odometry, left = each.copy(), np.ones(len(mean), np.bool_)
     of_odometry[:, [RANGE, BEARING]] = 0.0
     for _ in range(2):  # which turn error applies, and then its effect

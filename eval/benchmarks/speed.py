@@ -119,8 +119,7 @@ def hard_frame(observations: int, landmarks: int, ambiguous: int) -> Expectation
     joint = pose @ (0.03 * np.eye(2)) @ pose.T + 1e-3 * np.eye(2 * landmarks)
     R = np.tile(1e-3 * np.eye(2), (observations, 1, 1))
     shift = rng.multivariate_normal(np.zeros(2), 0.03 * np.eye(2))
-    z = xy[:observations] + shift + rng.normal(0.0, 0.04, (observations, 2))
-    return Expectation.from_arrays(z, xy, joint, R)
+    return Expectation.from_arrays(xy[:observations] + shift + rng.normal(0.0, 0.04, (observations, 2)), xy, joint, R)
 
 
 def each_frame(estimator: str, association: str, inputs: Inputs) -> Array:

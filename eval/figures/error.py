@@ -141,8 +141,7 @@ def error_figure(log: Log, runs: Sequence[Run]) -> Figure:
     errors = [pose_error(s.trajectory.pose, truth) for s, truth in zip(shown, truths, strict=True)]
     bounds = [3.0 * sigmas(s.trajectory) for s in shown]
     for i, (name, unit, factor) in enumerate(COORDINATES):
-        needs = [factor * reach([e[:, i], b[:, i]]) for e, b in zip(errors, bounds, strict=True)]
-        limit = common_reach(needs)
+        limit = common_reach([factor * reach([e[:, i], b[:, i]]) for e, b in zip(errors, bounds, strict=True)])
         for j, s in enumerate(shown):
             ax: Axes = axes[i, j]
             error, bound = factor * errors[j][:, i], factor * bounds[j][:, i]

@@ -55,10 +55,8 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     elif s.lab is not None:
         asked_for = s.lab, s.estimator, options.setup, reading_of(options), say
         experiments = [e for plan in of_all("plans") for e in plan(*asked_for)]
-    elif s.cooperative:
-        experiments = _teams(options, say)
     else:
-        experiments = [] if s.log else _default(options, say)
+        experiments = _teams(options, say) if s.cooperative else [] if s.log else _default(options, say)
     reading = reading_of(options)
     asked = [open_log(name, reading, say) for name in s.log if not s.cooperative]
     if asked and (given.results or given.file is not None):

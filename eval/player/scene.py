@@ -125,8 +125,7 @@ def add_changes(
     pack.add(f"{key}change_there", there)
     place = np.round(np.clip(xy / quantum, -FURTHEST, FURTHEST))
     sigma = np.round(np.log(np.maximum(shape[:, :2], 1.0e-9)) / COARSE)
-    values = np.column_stack([place, sigma, np.round(shape[:, 2] / ROUGH)])
-    pack.add_steps(f"{key}change", own_steps(number, values))
+    pack.add_steps(f"{key}change", own_steps(number, np.column_stack([place, sigma, np.round(shape[:, 2] / ROUGH)])))
 
 
 def add_run(pack: Pack, key: str, run: Run, trial: Trial, quantum: float) -> None:
@@ -247,8 +246,7 @@ def _head_of(
 def _add_log(pack: Pack, log: Log, quantum: float) -> None:
     r, t = log.recorded, log.truth
     fine = quantum * FINER
-    span = float(np.abs(r.time).max(initial=0.0))
-    pack.add("time", r.time - r.time[0] if span > MOST_TIME * TIME else r.time, TIME)
+    pack.add("time", r.time - r.time[0] if float(np.abs(r.time).max(initial=0.0)) > MOST_TIME * TIME else r.time, TIME)
     pack.add("count", np.diff(r.start))
     points, covariance = r.sensor_of().body_points(r.observations.z, r.observations.R)
     add_points(pack, "point", points, spread(covariance), fine)

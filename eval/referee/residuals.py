@@ -47,10 +47,9 @@ def used_by(run: Run, inputs: Inputs) -> Used:
     number = observed(run)
     if inputs.map is not None and run.map is None:
         identity, xy = inputs.map.id, inputs.map.xy
-    elif run.map is not None:
-        identity, xy = run.map.number, run.map.xy
     else:
-        identity, xy = np.empty(0, np.int64), np.empty((0, 2))
+        m = run.map
+        identity, xy = (np.empty(0, np.int64), np.empty((0, 2))) if m is None else (m.number, m.xy)
     row = np.full(len(number), -1, np.int64)
     known = np.isin(number, identity)
     order = np.argsort(identity)

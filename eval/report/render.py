@@ -51,8 +51,7 @@ def write_report(folder: Path, report: blocks.Report) -> None:
 def report_html(folder: Path, report: blocks.Report, details: Mapping[str, str], up: str = "") -> str:
     """One HTML page, `up` from the result folder; `details`: pages by title. FileNotFoundError: no such figure."""
     sections = blocks.with_fine_print(report)
-    whole = [*report.introduction, *(b for s in (*report.first, *sections) for b in s.blocks)]
-    every = list(blocks.every_block(whole))
+    every = list(blocks.every_block([*report.introduction, *(b for s in (*report.first, *sections) for b in s.blocks)]))
     used: Counter[str] = Counter()
     first, rest = _chapters(report.first, used), _chapters(sections, used)
     contents = [headed for chapter in (*first, *rest) for headed in chapter if headed[0].level == 2]

@@ -60,8 +60,7 @@ class Track:
 def _blank(team: Team, row: int) -> Track:
     n, m = len(team.members[row]), len(team.members[row].observations.frame)
     nothing = np.full(m, DISCARD, np.int64)
-    stats = np.zeros((n, 3))
-    tracks = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), stats, np.zeros(n, np.int64)
+    tracks = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.zeros((n, 3)), np.zeros(n, np.int64)
     sighted = np.full(len(team.of(row)), DISCARD, np.int64)
     return Track(*tracks, np.full((m, 2), np.nan), nothing, np.full(m, -1, np.int64), sighted)
 

@@ -113,8 +113,7 @@ def against_wheels(run: LaserRun, inputs: Inputs) -> Notice | None:
     wrong = np.flatnonzero(moved | turned)
     if not len(wrong):
         return None
-    size = np.hypot(position[wrong] / FAR, error[wrong, 2] / TURNED)
-    worst = int(wrong[np.argmax(size)])
+    worst = int(wrong[np.argmax(np.hypot(position[wrong] / FAR, error[wrong, 2] / TURNED))])
     return _of(
         run, Code.AGAINST_WHEELS, frame=int(at[worst + 1]), steps=len(wrong), scans=len(at),
         distance=float(position[worst]), turned=math.degrees(abs(float(error[worst, 2]))),

@@ -109,8 +109,7 @@ def time_offset(file: str, time: Array, pose: Array, truth_time: Array, truth: A
     square = np.mean((of_a[both] - here[both]) ** 2, axis=0) + floor
     information = float((np.mean(slope**2, axis=0) / square).sum()) * both.sum() * dt / (2.0 * half)
     error = 1.0 / math.sqrt(information) if information > 0.0 else math.inf
-    elsewhere = np.abs(lags - lags[best]) * dt > 2.0 * half
-    rival = float(cost[elsewhere].min(initial=math.inf))
+    rival = float(cost[np.abs(lags - lags[best]) * dt > 2.0 * half].min(initial=math.inf))
     if error > half or samples * (rival - least) < APART:
         why = "the motion is steady" if math.isinf(rival) or error > half else "another fits about as well: laps?"
         what = f"--time-offset auto: no offset stands out ({why})"
@@ -527,8 +526,7 @@ def _late_by(time: Array, ours: Array, there: Array, theirs: Array) -> tuple[flo
         off = [ours[some[rows], k] - np.interp(at[rows], there, theirs[:, k]) for k in (0, 1)]
         return rms(np.hypot(*off)) * (1.0 + abs(seconds) / half)
 
-    grid = np.linspace(-half, half, TRIED + 1)
-    best = float(min(grid, key=apart))
+    best = float(min(np.linspace(-half, half, TRIED + 1), key=apart))
     found = scipy.optimize.minimize_scalar(
         apart, bounds=(best - half / TRIED * 2.0, best + half / TRIED * 2.0), method="bounded", options={"xatol": 1e-4}
     )
@@ -602,5 +600,4 @@ def _same_vertical(ours: Poses, theirs: Poses) -> bool:
         fit = aligning(ours, theirs, how)
         assert fit is not None  # there are matches
         found.append(rms(np.linalg.norm(ours.position @ fit.R.T + fit.t - theirs.position, axis=1)))
-    size = float(np.linalg.norm(np.ptp(theirs.position, axis=0)))
-    return found[0] <= 2.0 * found[1] + FITS * size
+    return found[0] <= 2.0 * found[1] + FITS * float(np.linalg.norm(np.ptp(theirs.position, axis=0)))
