@@ -489,6 +489,20 @@ def test_true_poses_that_leap_away_and_back_are_named_with_the_flag_that_leaves_
     assert f"poses 300 to {299 + count} of" in said
 
 
+def test_rows_of_both_have_covariances_of_the_estimate_and_one_clock(scored, tmp_path):
+    """Seen: they were the truth's, \"are they swapped?\", and the estimate of a slow filter had another clock."""
+    late = np.column_stack([np.interp(WAY[:, 0] - 0.3, WAY[:, 0], column) for column in np.unwrap(WAY.T[1:])])
+    rows = np.column_stack([WAY, late, late, np.full((len(WAY), 3), 1e-2)])
+    names = [f"{of}_{axis}" for of in ("gt", "ekf", "odom") for axis in ("x", "y", "theta")]
+    (tmp_path / "rows.csv").write_text(commas(rows, ",".join(["t", *names, "P_xx", "P_yy", "P_thetatheta"])))
+    for of in ("ekf", "odom"):
+        both, axes = (("estimate", of), ("truth", "gt")), ("x", "y", "theta")
+        pairs = [f"{path}.{axis}={word}_{axis}" for path, word in both for axis in axes]
+        values, asked, said = scored(*[(tmp_path / "rows.csv",)] * 2, "--columns", ",".join(pairs))
+        assert ("nees_position" in values) == (of == "ekf")
+        assert not asked, said
+
+
 def test_headings_of_zero_on_a_bend_are_none(scored):
     values, asked, _ = scored(posed(WAY * [1, 1, 1, 0]), posed(WAY))
     assert "rmse_heading_deg" not in values

@@ -156,9 +156,11 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
         typed = ",".join(f"{'truth.' * manner.true}{r}={s[0] + 1}" for r, s in unclear.items())
         raise DataError.at(text.path, f"{what}, as in --columns {typed.replace('yaw', 'theta')}", line=line or None)
     side, k = [set(words_of(name)[0]) & SIDES for name in names], place.get("x", place.get("lat", -1))
-    others = any(r == "x" and j != k and true[j] == manner.true for j, (r, _) in enumerate(read))
-    for role, some in spread.items():  # a covariance has the words of its path, or none beside a single one
-        some = [j for j in some if side[j] == side[k] or not (side[j] or others or (both and manner.true))]
+    beside = [j for j, (role, _) in enumerate(read) if role == "x" and j != k]
+    if not manner.true:  # odometry has none of its own
+        beside = [j for j in beside if side[k] and not true[j] and side[j] != {"odom"}]
+    for role, some in spread.items():  # a covariance has the words of its path, or none: of the only estimate
+        some = [j for j in some if (side[j] == side[k] if side[j] else not beside)]
         place |= dict.fromkeys([role] * (len(some) == 1), *some[:1])
     stated = {role: words_of(names[j])[1] if role in manner.columns else read[j][1] for role, j in place.items()}
     unit = {role: its for role, its in stated.items() if its}

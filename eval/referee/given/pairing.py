@@ -270,6 +270,12 @@ class Pair:
     space: InSpace | None = None  # of both in space, as scored
     aligned: bool = False
 
+    @property
+    def in_rows(self) -> bool:
+        """Whether rows of one file, with one stamp each, hold both."""
+        one = self.truth is not None and self.truth.file == self.estimate.file
+        return one and bool(np.isin(self.estimate.time, cast("GivenPath", self.truth).time).all())
+
 
 def about_file(path: GivenPath) -> Iterator[Notice]:
     """Questions about one file."""
@@ -309,13 +315,14 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
     if own := leaps(*_of_positions(pair.estimate.pose, np.where(placed[:, None], pair.at, np.nan))):
         first, last = zip(*own, strict=True)
         yield notice(Code.PATH_OUTLIERS, file=pair.estimate.file, first=first, last=last)
-    if pair.truth is not None and pair.truth.covariance is not None and pair.estimate.covariance is None:
-        yield notice(Code.PATH_SWAPPED, estimate=pair.estimate.file, truth=pair.truth.file)
+    t, ours = pair.truth, pair.estimate
+    if t is not None and t.file != ours.file and t.covariance is not None and ours.covariance is None:
+        yield notice(Code.PATH_SWAPPED, estimate=ours.file, truth=t.file)
     yield from _order(pair, known)
-    if (t := pair.truth) is not None and t.clock.by == pair.estimate.clock.by == ROWS and len(t) == len(pair.estimate):
-        at = round(float(pair.estimate.time[0] - t.time[0]))
-        if (k := rows_apart(pair.estimate, t, at)) not in (None, at):
-            yield notice(Code.PATH_SHIFT, file=pair.estimate.file, other=t.file, flags=(f"--time-offset NAME={k}",))
+    if t is not None and not pair.in_rows and t.clock.by == ours.clock.by == ROWS and len(t) == len(ours):
+        at = round(float(ours.time[0] - t.time[0]))
+        if (k := rows_apart(ours, t, at)) not in (None, at):
+            yield notice(Code.PATH_SHIFT, file=ours.file, other=t.file, flags=(f"--time-offset NAME={k}",))
     files = [about_file(f) for f in (pair.estimate, pair.truth) if f is not None]
     alone = [question for asked in files for question in asked]  # which explain what both say together
     found = [*_otherwise(pair, known, placed)] if placed.sum() >= FEW and not alone else []
@@ -460,8 +467,8 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         rows = [np.flatnonzero(np.isfinite(f.pose[:, :2]).all(axis=1)) for f in files]
         (times, path), (there, truth) = ((f.time[k], f.pose[k]) for f, k in zip(files, rows, strict=True))
     error = 0.0
-    seconds, left = _late_by(times, path, there, truth)
-    if by_speed := not left < min(LATE * direct, FITS * size):  # another frame, or another error
+    seconds, left = (0.0, 0.0) if pair.in_rows else _late_by(times, path, there, truth)
+    if by_speed := not pair.in_rows and not left < min(LATE * direct, FITS * size):  # another frame, or another error
         seconds, times, path, there, truth = 0.0, time, ours, time, theirs
         with suppress(DataError):  # none stands out
             seconds, error = time_offset(pair.estimate.file, time, ours, time, theirs)
@@ -471,7 +478,7 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         at = interpolate(there, truth, moved[inside])
         own = path[inside]
         aligned = rms(aligned_distance(own[:, :2], at[:, :2]))
-        if not by_speed or aligned < LATE * rms(aligned_distance(own[:, :2], theirs[inside, :2])):
+        if aligned < (LATE * rms(aligned_distance(own[:, :2], theirs[inside, :2])) if by_speed else fitted):
             if far > LEAST[Kind.PLACED] and placed < LATE * aligned:
                 yield _reading(pair, Kind.PLACED, "truth", fitted / size, placed / size, far)
                 return
