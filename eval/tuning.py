@@ -35,7 +35,7 @@ from data.csv_table import read_table
 from data.errors import DataError, UsageError, unknown
 from data.inputs import Increments, Inputs, IntArray, LabelledObservations
 from data.log import Log
-from data.motion.velocity import MAX_HOLD, WITH_ALPHAS, VelocityModel, preintegrate
+from data.motion.velocity import WITH_ALPHAS, VelocityModel, longest_hold, preintegrate
 from data.origin import Origin
 from data.result import DISCARD
 from data.se2 import Array, BoolArray
@@ -79,7 +79,7 @@ def smooth_velocity(odometry: Odometry, at: Array) -> Array:
         return np.zeros((len(at), 2))
     length = np.diff(time)
     width = max(HALF_WIDTH, SAMPLES * float(np.median(length)))
-    hold = np.minimum(length, MAX_HOLD)
+    hold = np.minimum(length, longest_hold(time))
     # distance and rotation so far, at each sample and at the end of its hold
     knots = np.column_stack([time[:-1], time[:-1] + hold]).ravel()
     moved = hold * np.stack([odometry.v[:-1], odometry.omega[:-1]])

@@ -33,11 +33,11 @@ from data.csv_table import Columns, Table
 from data.errors import DataError, unknown
 from data.inputs import UNLABELLED, Increments, Inputs, IntArray, LandmarkMap, Observations
 from data.motion.motion_prior import MotionPrior
-from data.motion.velocity import floor_covariances, preintegrate, told
+from data.motion.velocity import floor_covariances, gaps_said, preintegrate, told
 from data.se2 import Array
 from data.sensors import RangeBearing
 from data.terminal import counted
-from data.timeline import MAX_GAP, frame_times, truth_at
+from data.timeline import frame_times, truth_at
 from data.truth import CLUTTER, UNKNOWN_ID, Truth
 
 FRAMES, ODOMETRY, OBSERVATIONS, TRUTH = "frames.csv", "odometry.csv", "observations.csv", "truth.csv"
@@ -106,8 +106,7 @@ def parts_of(header: Header, tables: Mapping[str, Table]) -> Parts:
             free = {OBSERVATIONS: [q for q in IDS if q not in table]}.get(name, [])
             notes.append(f"{name}: {unused(table.unknown, free)}")
     if gaps:
-        many = counted(gaps, "gap")
-        notes.append(f"{ODOMETRY}: {many} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
+        notes.append(f"{ODOMETRY}: {gaps_said(tables[ODOMETRY].columns['t'], time)}")
     observations, ids = _observations(tables.get(OBSERVATIONS), header, *frames.get(OBSERVATIONS, ()))
     known, landmarks = landmarks_of(tables[LANDMARKS]) if LANDMARKS in tables else (None, None)
     if known is not None and known.sigma is not None and not all(s.sensor.sees_points for s in header.sensors):

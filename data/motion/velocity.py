@@ -15,6 +15,8 @@ import numpy as np
 from data.compiled import njit
 from data.inputs import Increments
 from data.se2 import Array
+from data.terminal import counted
+from data.timeline import MAX_GAP, usual_gap
 
 ARC = 0
 HALF_ANGLE = 1
@@ -23,7 +25,7 @@ DRIVE_FIRST = 3
 MODELS = {"unicycle": ARC, "half_angle": HALF_ANGLE, "turn_first": TURN_FIRST, "drive_first": DRIVE_FIRST}
 NOISES = ("velocity", "displacement", "density", "textbook")
 WITH_ALPHAS = {"displacement": (4,), "textbook": (4, 6)}  # Conventions with alphas instead of sigmas, and their number
-MAX_HOLD = 1.0  # s, longest hold of a sample (zero-order hold); then follows a gap
+MAX_HOLD = MAX_GAP  # s, longest hold of a sample (zero-order hold) at usual rates; then follows a gap
 
 
 @njit
@@ -198,18 +200,16 @@ class VelocityModel:
 def preintegrate(model: VelocityModel, time: Array, v: Array, omega: Array, at: Array) -> tuple[Increments, int]:
     """Increments between the instants `at` (N,) from samples at `time` (K,), ascending; also the number of gaps.
 
-    A sample holds until the next one, at most `MAX_HOLD`. In a gap the mean stands still, and standard deviations grow
-    as far as the fastest sample of the log would have gone. Composing the increments equals predicting sample by sample
-    (to rounding).
+    A sample holds until the next one, at most `longest_hold`. In a gap the mean stands still, and standard deviations
+    grow as far as the fastest sample of the log would have gone. Composing the increments equals predicting sample by
+    sample (to rounding).
     """
     # copies: read-only arrays would compile the kernel once more
     time, v, omega, at = (np.array(a, float, order="C") for a in (time, v, omega, at))
     mean, cov = np.zeros((len(at), 3)), np.zeros((len(at), 3, 3))
     if len(at) == 0 or len(time) == 0:
         return Increments(mean, cov), 0
-    last = time[-1] - time[-2] if len(time) > 1 else MAX_HOLD
-    length = np.append(np.diff(time), max(last, at[-1] - time[-1]))
-    hold = np.minimum(length, MAX_HOLD)
+    length, hold = _holds(time, at[-1])
     # samples with equal stamps have no length: the last one replaces the others
     rate = model.noise.variance_per_second(v, omega, np.maximum(hold, 1e-9))
     beyond = length - hold
@@ -217,16 +217,42 @@ def preintegrate(model: VelocityModel, time: Array, v: Array, omega: Array, at: 
     fastest = np.array([np.abs(v).max(), np.abs(omega).max()])
     lateral = model.noise.kind == "displacement"
     _preintegrate(MODELS[model.model], lateral, time, v, omega, rate, hold, beyond, lead, fastest, at, mean, cov)
-    inside = (time + hold < at[-1]) & (time + length > at[0])
-    return Increments(mean, cov), int(((beyond > 1e-9) & inside).sum()) + (lead > 0.0)
+    return Increments(mean, cov), len(_unseen(time, at))
+
+
+def longest_hold(time: Array) -> float:
+    """Longest hold [s] of samples at `time` (K,): `MAX_HOLD`, or 1.5 times their usual interval."""
+    return usual_gap(time, math.inf)
+
+
+def _holds(time: Array, end: float) -> tuple[Array, Array]:
+    """Time [s] from each sample (K,) to the next, of the last one at least to `end`, and that for which it holds."""
+    length = np.append(np.diff(time), max(time[-1] - time[-2] if len(time) > 1 else MAX_HOLD, end - time[-1]))
+    return length, np.minimum(length, longest_hold(time))
+
+
+def _unseen(time: Array, at: Array) -> Array:
+    """Length [s] of each gap of samples at `time` (K,) between the instants `at` (N,)."""
+    length, hold = _holds(time, at[-1])
+    inside = (length - hold > 1e-9) & (time + hold < at[-1]) & (time + length > at[0])
+    gap = np.minimum(time + length, at[-1]) - np.maximum(time + hold, at[0])
+    return np.append(gap[inside], max(min(time[0], at[-1]) - at[0], 0.0) if time[0] > at[0] else [])
+
+
+def gaps_said(time: Array, at: Array) -> str:
+    """The note on gaps of samples at `time` (K,) between the instants `at` (N,), where there are some."""
+    gap, span = _unseen(time, at), at[-1] - at[0]
+    many = f"{counted(len(gap), 'gap')} longer than {longest_hold(time):.3g} s"
+    still = f"no motion is assumed over {gap.sum():.4g} of {span:.4g} s"
+    return f"{many}, where the robot may have moved unseen: {still}"
 
 
 def told(time: Array) -> tuple[float, float]:
     """First and last instant [s] whose motion samples at `time` (K,), ascending, tell. The last sample holds as long as
-    is usual, the median interval, at most `MAX_HOLD`.
+    is usual, the median interval.
     """
     usual = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
-    return float(time[0]), float(time[-1]) + min(usual, MAX_HOLD)
+    return float(time[0]), float(time[-1]) + usual
 
 
 def floor_covariances(covariance: Array, floor: float) -> tuple[Array, int]:

@@ -28,14 +28,14 @@ from data.formats.tables.request import LOOKS, OBSERVATIONS, SENSOR, TableSensor
 from data.formats.tables.scans import read_scans
 from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations, Prior, Scans
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
-from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
+from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, gaps_said
 from data.origin import Origin, Origins
 from data.pose_measurements import FAR, LOOSE, Closures, Fixes, FixKind, FixSource, onto_fixes
 from data.questions.witnesses import way_share
 from data.se2 import Array, BoolArray
 from data.sensors import RangeBearing, Sensor
 from data.terminal import counted
-from data.timeline import MAX_GAP, frame_times, truth_at, usual_gap
+from data.timeline import frame_times, truth_at, usual_gap
 from data.truth import Truth
 
 SIGMAS = ("sx", "sy", "stheta")
@@ -373,8 +373,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
         floored += gaps  # of poses it counts floored covariances
     as_recorded = odometry.velocities and all(p.stamped for p in parts) and not wanted.every_row and scans is None
     if odometry.velocities and gaps and not as_recorded:  # of odometry.csv loading says it
-        many = counted(gaps, "gap")
-        notes.append(f"odometry: {many} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
+        notes.append(f"odometry: {gaps_said(odometry.time, time)}")
     known = _map(texts["map"], wanted) if "map" in texts else None
     pose = None if true is None else _at_frames(true, texts["truth"], wanted, time)
     columns.check_used(list(dict.fromkeys(texts.values())))

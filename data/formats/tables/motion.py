@@ -20,7 +20,7 @@ from data.formats.results.path import COARSE, STEPS
 from data.formats.second_odometry import closures_between, covered, of_twists, own_name
 from data.formats.tables.files import BEYOND, QUATERNION, SECOND, Columns, TextTable, headings
 from data.inputs import Increments
-from data.motion.velocity import MAX_HOLD, VelocityModel, VelocityNoise, preintegrate, told
+from data.motion.velocity import VelocityModel, VelocityNoise, longest_hold, preintegrate, told
 from data.pose_measurements import Closures
 from data.se2 import Array
 from data.terminal import counted
@@ -88,7 +88,7 @@ class Odometry:
         rows = np.flatnonzero(self.time > begin)
         before = rows[0] - 1
         time, motion = self.time[rows], self.motion[rows]
-        if self.velocities and begin - self.time[before] > MAX_HOLD:  # in a gap
+        if self.velocities and begin - self.time[before] > longest_hold(self.time):  # in a gap
             return replace(self, time=time, motion=motion)
         first = self.motion[before : rows[0]]
         if not self.velocities:
@@ -316,7 +316,7 @@ def second_closures(
     motion, _ = odometry.increments(time[frames], second.noise)
     gaps = None
     if odometry.velocities:
-        broken = np.cumsum(np.diff(odometry.time, prepend=odometry.time[0]) > MAX_HOLD + 1e-6)
+        broken = np.cumsum(np.diff(odometry.time, prepend=odometry.time[0]) > longest_hold(odometry.time) + 1e-6)
         row = np.searchsorted(odometry.time, time[frames])
         gaps = broken[row[1:]] != broken[row[:-1]]
     found = closures_between(frames, motion, name, gaps)

@@ -49,6 +49,22 @@ def test_fixes_and_closures_beyond_the_odometry_are_left_out_and_said(table):
     assert (len(log.recorded.fixes), len(log.recorded.closures)) == (1, 1)
 
 
+@pytest.mark.parametrize(("stamps", "way", "note", "seconds"), [
+    (np.arange(0.0, 42.0, 2.0), 40.0, "", ""), (np.arange(0.0, 80.0, 8.0), 72.0, "", ""),
+    ([0.0, 2.0, 4.0, 6.0, 16.0, 18.0], 11.0, "1 gap longer than 3 s, where", "assumed over 7 of 18 s"),
+    ([0.0, 0.5, 1.0, 1.5, 8.0, 8.5], 3.0, "1 gap longer than 1 s, where", "assumed over 5.5 of 8.5 s"),
+])  # fmt: skip
+def test_velocities_of_slow_rows_hold_until_the_next_one_and_what_a_gap_leaves_out_is_said(
+    convert, stamps, way, note, seconds
+):
+    odometry = "t,v,omega\n" + "".join(f"{t},1,0\n" for t in stamps)
+    fixes = f"t,x,y\n{stamps[0]},0,0\n{stamps[-1]},9,0\n"
+    words = ("--fixes", "fix.csv", *OF[VELOCITIES], *NOISE, "--fix-sigma", "1,1")
+    log, said = convert({"odo.csv": odometry, "fix.csv": fixes}, "table", "odo.csv", "out", *words)
+    assert log.recorded.increments.mean[:, 0].sum() == pytest.approx(way)
+    assert [text in said for text in (note, seconds, "moved unseen")] == [True, True, bool(note)]
+
+
 @pytest.mark.parametrize(
     ("parts", "words", "said"),
     [
