@@ -152,7 +152,7 @@ class Log:
             ("sensor", ", ".join(f"{s.label} ({s.name})" for s in r.sensors) or r.sensor.name),
             ("map", "none" if r.map is None else f"{len(r.map.id)} landmarks"),
             ("truth", f"in {truth.known_poses} frames" if truth.known_poses else "none"),
-            ("labels", "yes" if self.has_labels else "none"),
+            ("labels", "yes" if self.has_labels and len(r.observations.frame) else "none"),
         ]  # fmt: skip
 
     def __repr__(self) -> str:

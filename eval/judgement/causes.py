@@ -43,6 +43,7 @@ class Terms:
 
     polar: bool = True
     stamped: bool = True
+    observed: bool = True  # without observations `tune` has nothing to fit to
 
     def unit(self, name: str) -> tuple[str, float]:
         """The unit of a systematic error for a person, and its factor from SI."""
@@ -55,7 +56,8 @@ class Terms:
 
 def terms_of(inputs: Inputs) -> Terms:
     """The terms of a log."""
-    return Terms(isinstance(inputs.sensor, RangeBearing), not inputs.time_is_index)
+    observed = len(inputs.observations.frame) > 0
+    return Terms(isinstance(inputs.sensor, RangeBearing), not inputs.time_is_index, observed)
 
 
 def explanations(findings: Sequence[Finding], terms: Terms) -> tuple[Finding, ...]:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data.inputs import Systematic
+from data.inputs import Observations, Systematic
 from data.notice import Code, notice
 from data.origin import Origin
 from data.result import Systematics, Trajectory
@@ -203,6 +203,14 @@ def test_each_kind_of_finding_has_its_words():
 )  # fmt: skip
 def test_what_to_do_is_nothing_that_runs_already(found, association, step):
     assert say("diagnosis#step", f=found, terms=POLAR, association=association) == step
+
+
+@pytest.mark.parametrize(("found", "step"), [(TURN, "`run --calibrate`"), (SIGMA, "state it so")])
+def test_a_log_without_observations_is_not_sent_to_tune(found, step):
+    log = circle_log()
+    none = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
+    terms = terms_of(replace(log.recorded, observations=none))
+    assert say("diagnosis#step", f=found, terms=terms, association="known") == step
 
 
 def test_unexplained_objections_missing_twins_and_failures_are_admitted_without_a_number():

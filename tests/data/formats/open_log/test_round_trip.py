@@ -290,3 +290,4 @@ def test_a_log_prints_a_few_lines():
         "  truth: in 200 frames",
         "  labels: yes",
     ]
+    assert str(made(seen=np.empty((0, 3)), label=[])).endswith("  labels: none")
