@@ -51,6 +51,7 @@ LINEARIZATION = 2.0
 """So many times the RMSE of a smoother with the same data at the same instants: linearization, not luck."""
 FAR = 20.0
 """A filter's NIS so many times the smoother's is linearization: a wrong map or prior, or a jump, gives up to 10."""
+STILL = 0.1  # m and rad that no path goes or turns in a log in which nothing moves
 MOSTLY = 1.5  # so many times the aligned RMSE, the plain one is half due to the frame in variance (1.5 squared is 2.25)
 
 
@@ -168,6 +169,7 @@ class LogFaults:
     # conventions: that the log follows otherwise than stated, or walls and wheels that forbid trust; use neither
     conventions: tuple[Notice, ...] = ()
     empty: bool = False  # neither observations nor scans
+    idle_scans: int | None = None  # scans are all there is, so many, and one at most or the robot never moves
     left_out: tuple[BadTruth, ...] = ()  # windows of bad ground truth that are not scored
 
 
@@ -300,8 +302,13 @@ def judgement_of(
     swapped = None if slam else next(iter(asked.map_rows(log)), None)
     broken = (*contradictions(log), *(n for n in of_wings(trial, ()) if n.code in UNTRUSTED))
     r = log.recorded
-    empty = not (len(r.observations.frame) or r.scans is not None or has_sources(r) or any(map(informed, trial.runs)))
-    log_faults = LogFaults(swapped, broken, empty, log.truth.left_out)
+    others = len(r.observations.frame) or has_sources(r) or any(map(informed, trial.runs))
+    scans = None if others or r.scans is None else len(r.scans.frame)
+    paths = [run.trajectory(run.phases[-1]).pose for run in trial.runs if run.phases]
+    ways = [np.abs(r.increments.mean).sum(axis=0), *(np.ptp(path, axis=0) for path in paths)]
+    if scans is not None and scans > 1 and np.nanmax(ways) > STILL:
+        scans = None
+    log_faults = LogFaults(swapped, broken, not others and r.scans is None, scans, log.truth.left_out)
     terms, blame = terms_of(log.recorded), None if trust is None else trust.blame
     cause = None
     if trust is not None:
@@ -399,7 +406,8 @@ def decided(
     elif not of_filter:
         verdict = Verdict.NEITHER
     elif not measured:
-        verdict = Verdict.CAUSE if cause is not None else Verdict.UNKNOWN
+        judged = cause is not None and log_faults.idle_scans is None
+        verdict = Verdict.CAUSE if judged else Verdict.UNKNOWN
     else:
         verdict = compared.nearer
     found = [o for r in _named(verdict, compared) for o in r.objections]

@@ -10,7 +10,7 @@ import pytest
 import slamref
 from data.formats.mrclam import load_mrclam
 from data.formats.open_log import write_folder
-from data.inputs import LandmarkMap, Observations
+from data.inputs import LandmarkMap, Observations, Scanner, Scans
 from data.log import Log, shortened
 from data.logs import open_log
 from data.sensors import RelativePoint
@@ -82,6 +82,20 @@ def test_a_violated_assumption_takes_the_tick_unless_the_solution_itself_is_brok
     mark = trust_mark(facts(log=replace(LOG, recorded=empty), unused=both))
     assert (mark.word, mark.tone) == ("neither", "bad")
     assert "the log has no observations" in mark.note
+
+
+@pytest.mark.parametrize(("frames", "step", "why"), [
+    ([0], 1.0, "1 scan"), ([0, 4], 0.0, "2 scans of a robot that never moves"), ([0, 4], 1.0, ""),
+])  # fmt: skip
+def test_no_path_is_recommended_where_nothing_can_be_judged(frames, step, why):
+    r = BLIND.recorded
+    nothing = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)))
+    seen = Scans(Scanner(-1.0, 1.0, 8.0, 0.01), np.array(frames), np.ones((len(frames), 3)))
+    steps = replace(r.increments, mean=step * r.increments.mean)
+    log = replace(BLIND, recorded=replace(r, observations=nothing, scans=seen, increments=steps))
+    mark = trust_mark(facts(log=log, trust=Trust("blind", "slam", "scan", Sample({}), (), ())))
+    assert mark.word == ("unknown" if why else "path: smoother")
+    assert mark.note.startswith(f"nothing can be judged: {why}" if why else "no fault found")
 
 
 def trust(cause=None, *findings, measured=None, objected=()):
