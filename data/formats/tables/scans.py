@@ -23,7 +23,7 @@ STATED = ("angle_min", "angle_increment", "range_max")
 def read_scans(
     file: TextTable, columns: Columns, scanner: Array | None, odometry: Odometry, mount: Array | None = None
 ) -> tuple[LaserScans, Table]:
-    """The scans within the odometry, and their stamps as a table; without stamps one for each of its rows. `scanner`:
+    """All scans, and their stamps as a table; without stamps one for each row of the odometry. `scanner`:
     (3,) first angle, step [rad] and reach [m]; `mount`: (3,) its pose on the robot. DataError for columns or
     fields, UsageError without angles.
     """
@@ -74,11 +74,13 @@ def read_scans(
         ranges = [columns.units.factor("scans", "range") * float(f) for f in fields]
         message = SimpleNamespace(header=header, ranges=ranges, **own)
         found.scans.add(message, float(stamp[k]), f"{file.path}:{line}")
-    columns.read |= {(file.path, k) for k in (*beams, *(at[n] for n in GEOMETRY if n in at))}
+    t = columns.find(file, "scans", "t")  # of a file without names it may be known by now
+    used = (*beams, *(at[n] for n in GEOMETRY if n in at), t)
+    columns.read |= {(file.path, k) for k in used if k is not None}
     if mount is not None:
         turned = (0.0, 0.0, math.sin(0.5 * mount[2]), math.cos(0.5 * mount[2]))
         found.tree.add("", header.frame_id, 0.0, (*mount[:2].tolist(), 0.0, *turned), static=True)
-    seen = scans_of(file.path, (), found, "", odometry.span)
+    seen = scans_of(file.path, (), found, "", (-math.inf, math.inf))  # the caller drops some
     return seen, Table(file.path, {"t": seen.stamp}, line=np.arange(1, len(seen.stamp) + 1))
 
 
