@@ -1,8 +1,8 @@
 """CSV files of other programs: their text, columns (`--columns t=stamp,truth.x=px`), and units.
 
-Comma, semicolon, tab or spaces, with or without a header. Lines that start with `#` or `%` are comments; the last one
-above the first row is the header if its number of fields fits. Fields may be quoted; they stay text until a column is
-read in SI units (`--unit angle=deg,time=ns,v=km/h`).
+Comma, semicolon, tab, bar or spaces, with or without a header, which may have a title above it. Lines that start with
+`#` or `%` are comments; the last one above the first row is the header if its number of fields fits. Fields may be
+quoted; they stay text until a column is read in SI units (`--unit angle=deg,time=ns,v=km/h`).
 """
 
 import csv
@@ -34,7 +34,7 @@ from data.questions.examination import heading_unit, in_degrees
 from data.se2 import Array, BoolArray
 from data.terminal import counted
 
-SEPARATORS = (";", "\t", ",", " ")  # In this order, since a decimal comma is no separator beside a semicolon or a tab
+SEPARATORS = (";", "\t", ",", "|", " ")  # In this order: a decimal comma is no separator beside a semicolon or a tab
 COMMENT = ("#", "%")
 NAMES_SHOWN = 200  # Most characters of a header in a message
 
@@ -129,6 +129,13 @@ def _is_row(fields: Sequence[str]) -> bool:
     return bool(filled) and 2 * values >= len(filled)
 
 
+def _is_title(rows: Sequence[Sequence[str]]) -> bool:
+    """Whether the first of three rows is a title: few words and no numbers, above names of numbers."""
+    words, names = ([f for f in row if f] for row in rows[:2]) if len(rows) == 3 else ([], [])
+    few = len(words) > 0 and 2 * len(words) <= len(names) and not any(map(is_number, words + names))
+    return few and _is_row(rows[2]) and abs(len(rows[2]) - len(rows[1])) <= 1
+
+
 def _split(lines: Sequence[str], separator: str) -> list[tuple[str, ...]]:
     """Fields of each line."""
     if separator == " ":
@@ -176,7 +183,7 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
         raise DataError.at(path, f"more than {csv.field_size_limit()} characters", line=long)
     if "\0" in text:
         raise DataError.at(path, "not a text file; a CSV file is needed")
-    numbered = [(i, line) for i, line in lines if line.strip(" ;,")]
+    numbered = [(i, line) for i, line in lines if line.strip(" ;,|")]
     plain = [(i, line) for i, line in numbered if not line.lstrip().startswith(COMMENT)]
     if not plain:
         raise DataError.at(path, f"no rows{f' of {word}' * bool(word)}; at least one is needed")
@@ -188,6 +195,10 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
     number = np.array([i for i, _ in plain], np.int64)
     every = np.array([i for i, line in lines if not line.lstrip().startswith(COMMENT)])
     names: tuple[str, ...] | None = None
+    title = ""
+    if _is_title(rows[:3]):
+        title = f"line {number[0]} is a title above the names: {plain[0][1].strip()[:NAMES_SHOWN]}"
+        rows, number = rows[1:], number[1:]
     if seen and (found := _by_rows(rows, np.searchsorted(every, number).tolist(), len(every), odometry)):
         names, rows, row_of = found
         said = (
@@ -209,6 +220,7 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
         names = names[:-1] if names and not names[-1] else names
     if cut := cut_end(rows, int(number[-1])):
         rows, number = rows[:-1], number[:-1]
+    cut = "; ".join(filter(None, (title, cut)))
     if each := _each(rows) if names is None else 0:
         number = np.repeat(number, [len(row) // each for row in rows])
         rows = [(row[0], *row[k : k + each]) for row in rows for k in range(1, len(row), each)]
@@ -228,7 +240,7 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
             raise DataError.at(path, f"{len(row)} fields where {width} are needed{last or several}", line=line)
     rows = whole_dates(rows)
     points = any("." in f and is_number(f) for row in rows[:1000] for f in row)
-    comma = separator in ";\t " and any("," in f for row in rows for f in row) and not points
+    comma = separator in ";\t| " and any("," in f for row in rows for f in row) and not points
     shown = list(whole_names(names, rows)) if names is not None else [str(k + 1) for k in range(width)]
     for k, name in enumerate(shown):  # seconds and nanoseconds of a stamp
         stem, _, last = name.rpartition(".")

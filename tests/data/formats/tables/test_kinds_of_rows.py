@@ -95,6 +95,35 @@ def test_scans_without_names_alone_or_behind_row_numbers_or_stamps_are_known(rea
         assert "or --columns scans.range=N" in unread(files | {"scan.csv": refused}, "--scans", "scan.csv")
 
 
+def test_scans_beyond_the_odometry_are_left_out_and_said_and_their_stamps_are_used(read):
+    text = "t,range0,range1,range2\n" + "".join(f"{0.5 * k},1,2,3\n" for k in range(-2, 9))
+    files = {"odo.csv": "t,x,y,theta\n0,0,0,0\n1,1,0,0\n2,2,0,0\n", "scans.csv": text}
+    log, said = read(files, "--scans", "scans.csv", "--scanner=-1deg,1deg,8m")
+    assert "6 of 11 scans before or after all odometry, 0 to 2 s, dropped" in said
+    assert "not used" not in said
+    assert log.recorded.time[log.recorded.scans.frame].tolist() == [0.0, 0.5, 1.0, 1.5, 2.0]
+
+
+def test_bars_between_and_behind_fields_and_a_title_above_the_names_are_read(read):
+    rows = "".join(f"{k} | {0.5 * k} | -1.5 | 0.25 | 9 | \n" for k in range(5))
+    text = "Poses & places, as driven\n time | px | py | yaw |\tcov[1,1]\n" + rows
+    log, said = read(
+        {"o.txt": text, "f.csv": "t,x,y\n1,0,0\n2,1,0\n"},
+        "--fixes",
+        "f.csv",
+        "--columns",
+        "t=time,x=px,y=py,theta=yaw,fixes.t=t,fixes.x=x,fixes.y=y",
+        "--prior",
+        "0,0,0",
+        "--prior-sigma",
+        "1,1,1",
+        "--fix-sigma",
+        "1,1",
+    )
+    assert "o.txt: line 1 is a title above the names: Poses & places, as driven" in said
+    assert np.hypot(*log.recorded.increments.mean[:, :2].T).sum() == pytest.approx(2.0)
+
+
 @pytest.mark.parametrize(("text", "words", "wanted"), [
     ("t,a,b\n0,1,2\n1,1,2\n", (), "columns such as range0, range1 are needed"),
     ("t,range0,range1\n0,1,2\n1,1,2\n", (), "--scanner LOW,STEP,MAX"),
