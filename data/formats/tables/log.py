@@ -116,6 +116,14 @@ def read_fixes(file: TextTable, wanted: Wanted, odometry: Odometry, notes: list[
     if len(position) == 1 or not (position or heading):
         what = f"no fixes: {file.described()}; x and y, or a heading theta, or both are needed"
         raise DataError.at(file.path, f"{what}; name them as in --columns fixes.x=EAST,fixes.y=NORTH")
+    default, typed = wanted.fix_sigma, {key.removeprefix("fixes.") for key in columns.given}
+    alone = {"x", "y"} <= typed and not typed & {"theta", *QUATERNION}
+    known = default is None or not np.isnan(default[2]) or columns.find(file, role, "stheta") is not None
+    if heading and alone and not known:
+        named = ",".join(file.names[columns.find(file, role, q) or 0] for q in heading)
+        why = "as --columns names x and y alone, and --fix-sigma their noise (SX,SY,STHETA reads it, too)"
+        notes.append(f"{file.path.name}: the heading of fixes, {named}, is left out, {why}")
+        heading = []
     values, blank = (*position, *heading), (*position, *heading, *SIGMAS)
     table, _ = columns.table(file, role, (*keys, *values), optional=SIGMAS, texts=("source",), may_be_blank=blank)
     z = np.full((len(table), 3), np.nan)
@@ -126,7 +134,6 @@ def read_fixes(file: TextTable, wanted: Wanted, odometry: Odometry, notes: list[
     if half.any():
         row = int(np.argmax(half))
         raise table.error(row, "y" if np.isnan(z[row, 1]) else "x", "blank; both x and y, or neither, are needed")
-    default = wanted.fix_sigma
     if default is None and not table.together(SIGMAS[:2]) and "stheta" not in table:
         default, columns.origins["fix_noise"] = np.array(FIX_SIGMA), Origin.ASSUMED
         notes.append("assumed: --fix-sigma 1m,1m,5deg")

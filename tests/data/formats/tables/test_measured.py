@@ -41,6 +41,14 @@ def test_what_a_row_fills_is_what_it_measures(table, odometry):
     assert len(r.observations.frame) == 0
 
 
+@pytest.mark.parametrize("sigma", ["0.1,0.1", "0.1,0.1,2deg"])
+def test_headings_of_fixes_that_nobody_named_are_read_only_with_their_noise(table, sigma):
+    parts = {"fixes": "t,e,n,qx,qy,qz,qw\n1,1,0,0,0,0,1\n2,2,0,0,0,0,1\n"}
+    log, said = table(VELOCITIES, parts, "--columns", "fixes.x=e,fixes.y=n", "--fix-sigma", sigma)
+    assert ("fix.csv: the heading of fixes, qx,qy,qz,qw, is left out" in said) == (sigma == "0.1,0.1")
+    assert set(log.recorded.fixes.kind) == {FixKind.POSITION if sigma == "0.1,0.1" else FixKind.POSE}
+
+
 def test_fixes_and_closures_beyond_the_odometry_are_left_out_and_said(table):
     parts = {"fixes": "t,x,y\n-1,0,0\n1,1,2\n", "closures": "t1,t2,dx,dy,dtheta\n0,9,1,0,0\n0,1,1,0,0\n"}
     log, said = table(POSES, parts, "--fix-sigma", "1,1", "--closure-sigma", "1,1,1")
