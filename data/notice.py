@@ -100,6 +100,7 @@ class Code(StrEnum):
     PATH_LEAP = "path-leap", WARNING
     PATH_OUTLIERS = "path-outliers", INFO
     PATH_FRAME = "path-frame", WARNING
+    PATH_DRIFT = "path-drift", INFO
     PATH_QUATERNIONS = "path-quaternions", WARNING
     # about a run of hindsight
     LARGER_SIGMAS = "larger-sigmas", WARNING

@@ -99,18 +99,22 @@ def bad_truth(log: Log) -> tuple[BadTruth, ...]:
 
 
 def leaps(truth: Array, other: Array) -> list[tuple[int, int]]:
-    """First and last rows of true poses (n, 3) that leap away from another path (n, 3) and come back; NaN: unknown."""
+    """First and last rows of true poses (n, 3) that leap away from another path (n, 3) and come back, or stay where
+    they leapt to the end of the file, or from its beginning; NaN: unknown.
+    """
     known = np.flatnonzero(np.isfinite(np.hstack([truth, other])).all(axis=1))
     if len(known) <= FEWEST:
         return []
     steps, found = _Steps(known, truth, other, np.zeros(3)), []
-    for first, last in steps.excursions():
+    ends = steps.excursions()
+    ends += [end for end in steps.resets() if not any(a <= end[1] + 1 and end[0] <= b + 1 for a, b in ends)]
+    for first, last in sorted(ends):
         a, b = np.searchsorted(known, (first, last)).tolist()
         i, j = known[: a - b - 1], known[b - a + 1 :]  # what the paths drift apart as long a time elsewhere
         usual = se2.between(se2.between(other[i], other[j]), se2.between(truth[i], truth[j]))
         far = UNUSUAL * np.quantile(np.abs(usual), 0.8, axis=0)
-        if (np.abs(steps.off[a - 1]) > far).any():
-            found.append((first, last))
+        if (np.abs(steps.off[a - 1 if a else b]) > far).any():
+            found.append((first if a else 0, last if b < len(known) - 1 else len(truth) - 1))
     return found
 
 
@@ -351,6 +355,14 @@ class _Steps:
                 found.append((int(self.known[(i if stood else k) + 1]), int(self.known[back])))
                 after = back
         return found
+
+    def resets(self) -> list[tuple[int, int]]:
+        """First and last frames of less than half of the truth that stand still at an end of it, a rare step away."""
+        far, moved = np.hypot(*self.true[:, :2].T), np.flatnonzero(np.max(np.abs(self.true), axis=1) >= STILL)
+        rare = self.large[far[self.large] > UNUSUAL * np.sort(far)[-5]]  # few others leap as far
+        found = [(0, k) for k in rare[np.isin(rare, moved[:1]) & (2 * rare + 2 < len(self.known))].tolist()]
+        found += [(k + 1, -1) for k in rare[np.isin(rare, moved[-1:]) & (2 * rare + 2 > len(self.known))].tolist()]
+        return [(int(self.known[a]), int(self.known[b])) for a, b in found]
 
     def _back(self, i: int, k: IntArray, *, still: bool = False) -> BoolArray:
         """Whether the truth after steps (K,) agrees with the odometry from before step `i` on; `still`: with none."""

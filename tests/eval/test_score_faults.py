@@ -489,18 +489,33 @@ def test_true_poses_that_leap_away_and_back_are_named_with_the_flag_that_leaves_
     assert f"poses 300 to {299 + count} of" in said
 
 
+@pytest.mark.parametrize(("first", "count"), [(0, 5), (0, 100), (-5, 5), (-100, 100), (-1, 1)])
+def test_true_poses_that_leap_and_stay_to_an_end_are_named(first, count, scored):
+    bad, first = WAY.copy(), first % len(WAY)
+    bad[first : first + count, 1:] = [38.0, 0.0, 0.0]
+    files = posed(WAY + np.random.default_rng(0).normal(0.0, [0.0, 0.01, 0.01, 0.005], WAY.shape)), posed(bad)
+    _, (asked,), _ = scored(*files)
+    assert f"poses {first} to {first + count - 1} of" in asked
+    values, asked, _ = scored(*files, *re.search(r"--exclude-truth [-\d.:]+", asked)[0].split())
+    assert (values["matched"], asked) == (len(WAY) - count, [])
+
+
+def test_a_path_that_drifts_from_the_pose_where_both_begin_is_in_no_other_frame(scored):
+    drift = WAY.copy()
+    drift[9:, 1:] = compose(AWAY, WAY[9:, 1:])
+    _, asked, said = scored(posed(drift), posed(WAY))
+    assert ("the first poses coincide (to 0 m and 0 deg)" in said, asked) == (True, [])
+
+
 def test_rows_of_both_have_covariances_of_the_estimate_and_one_clock(scored, tmp_path):
-    """Seen: they were the truth's, \"are they swapped?\", and the estimate of a slow filter had another clock."""
     late = np.column_stack([np.interp(WAY[:, 0] - 0.3, WAY[:, 0], column) for column in np.unwrap(WAY.T[1:])])
-    rows = np.column_stack([WAY, late, late, np.full((len(WAY), 3), 1e-2)])
-    names = [f"{of}_{axis}" for of in ("gt", "ekf", "odom") for axis in ("x", "y", "theta")]
-    (tmp_path / "rows.csv").write_text(commas(rows, ",".join(["t", *names, "P_xx", "P_yy", "P_thetatheta"])))
+    rows, axes = np.column_stack([WAY, late, late, np.full((len(WAY), 3), 1e-2)]), ("x", "y", "theta")
+    names = ["t", *(f"{of}_{a}" for of in ("gt", "ekf", "odom") for a in axes), "P_xx", "P_yy", "P_thetatheta"]
+    (tmp_path / "rows.csv").write_text(commas(rows, ",".join(names)))
     for of in ("ekf", "odom"):
-        both, axes = (("estimate", of), ("truth", "gt")), ("x", "y", "theta")
-        pairs = [f"{path}.{axis}={word}_{axis}" for path, word in both for axis in axes]
-        values, asked, said = scored(*[(tmp_path / "rows.csv",)] * 2, "--columns", ",".join(pairs))
-        assert ("nees_position" in values) == (of == "ekf")
-        assert not asked, said
+        pairs = ",".join(f"{path}.{a}={word}_{a}" for path, word in (("estimate", of), ("truth", "gt")) for a in axes)
+        values, asked, _ = scored(*[(tmp_path / "rows.csv",)] * 2, "--columns", pairs)
+        assert ("nees_position" in values, asked) == (of == "ekf", [])
 
 
 def test_headings_of_zero_on_a_bend_are_none(scored):

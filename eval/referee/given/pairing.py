@@ -314,7 +314,8 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
     yield from asked
     if own := leaps(*_of_positions(pair.estimate.pose, np.where(placed[:, None], pair.at, np.nan))):
         first, last = zip(*own, strict=True)
-        yield notice(Code.PATH_OUTLIERS, file=pair.estimate.file, first=first, last=last)
+        back = first[0] > 0 and last[-1] + 1 < len(pair.estimate)
+        yield notice(Code.PATH_OUTLIERS, file=pair.estimate.file, first=first, last=last, back=back)
     t, ours = pair.truth, pair.estimate
     if t is not None and t.file != ours.file and t.covariance is not None and ours.covariance is None:
         yield notice(Code.PATH_SWAPPED, estimate=ours.file, truth=t.file)
@@ -341,7 +342,8 @@ def _leaps(pair: Pair, placed: BoolArray) -> tuple[BoolArray, list[Notice]]:
     found, inside = [], np.zeros(len(placed), bool)
     edge = min(1e-3, 0.1 * float(np.diff(truth.time).min(initial=1.0)))
     for first, last in leaps(theirs, ours):
-        before, after = truth.time[first - 1], truth.time[last + 1]
+        before = truth.time[first - 1] if first else truth.time[0] - 2.0 * edge
+        after = truth.time[last + 1] if last + 1 < len(truth) else truth.time[-1] + 2.0 * edge
         within = (estimate.time > before) & (estimate.time < after)
         if (within & placed).any():
             inside |= within
@@ -349,7 +351,8 @@ def _leaps(pair: Pair, placed: BoolArray) -> tuple[BoolArray, list[Notice]]:
     if not found:
         return inside, []
     of, to, flags = zip(*found, strict=True)
-    return inside, [notice(Code.PATH_LEAP, file=truth.file, other=estimate.file, first=of, last=to, flags=flags)]
+    said = {"file": truth.file, "other": estimate.file, "back": of[0] > 0 and to[-1] + 1 < len(truth)}
+    return inside, [notice(Code.PATH_LEAP, first=of, last=to, flags=flags, **said)]
 
 
 def _of_positions(path: Array, other: Array) -> tuple[Array, Array]:
@@ -497,6 +500,11 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
     if not pair.aligned and direct > max(OTHER_FRAME * fitted, FITS * size) and not mean < POOR:
         turned = math.degrees(float(rigid_fit(ours[:, :2], theirs[:, :2])[2]))
         said = mean if math.isfinite(mean) else None
+        off, turn = math.hypot(*(ours - theirs)[0, :2]), abs(float(wrap_angle(ours[0, 2] - theirs[0, 2])))
+        reach = float(np.hypot(*(theirs - theirs[0])[:, :2].T).max())  # what the first poses' difference grows over
+        if OTHER_FRAME * (off + reach * turn) < direct:
+            yield notice(Code.PATH_DRIFT, file=pair.estimate.file, direct=direct, aligned=fitted, apart=off, askew=turn)
+            return
         yield notice(Code.PATH_FRAME, file=pair.estimate.file, direct=direct, aligned=fitted, turned=turned, nees=said)
 
 
