@@ -406,8 +406,7 @@ def decided(
     elif not of_filter:
         verdict = Verdict.NEITHER
     elif not measured:
-        judged = cause is not None and log_faults.idle_scans is None
-        verdict = Verdict.CAUSE if judged else Verdict.UNKNOWN
+        verdict = Verdict.CAUSE if cause is not None and log_faults.idle_scans is None else Verdict.UNKNOWN
     else:
         verdict = compared.nearer
     found = [o for r in _named(verdict, compared) for o in r.objections]

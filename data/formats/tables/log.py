@@ -374,7 +374,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
         taken = [name for closures in measured for name in closures.sources]
         measured.append(second_closures(texts[SECOND], second, wanted.second, time, taken, notes))
     increments, gaps = odometry.increments(time, wanted.noise, wanted.model)
-    fixes = None if fixes is None else _counter_clockwise(fixes, increments, wanted)
+    fixes = None if fixes is None else _counter_clockwise(_fresh(fixes, increments, notes), increments, wanted)
     covariance, floored = floor_covariances(increments.covariance, FLOOR)
     if not odometry.velocities:
         floored += gaps  # of poses it counts floored covariances
@@ -637,6 +637,20 @@ def _agree(fixes: Fixes, moved: Increments, start: Array) -> bool:
     return not len(rows) or float(np.cos(turned - fixes.z[rows, 2]).mean()) > ODD
 
 
+def _fresh(fixes: Fixes, moved: Increments, notes: list[str]) -> Fixes:
+    """Without positions that repeat the one before of their source to the last digit while the odometry moves."""
+    rows = np.flatnonzero(fixes.kind != FixKind.HEADING)
+    rows = rows[np.argsort(fixes.source[rows], kind="stable")]
+    stated = np.column_stack([fixes.source, fixes.z])[rows]
+    way = np.hypot(*moved.mean[:, :2].T).cumsum()[fixes.frame[rows]]
+    held = rows[1:][(stated[1:] == stated[:-1]).all(axis=1) & (np.diff(way) > MOVED)]
+    if not len(held):
+        return fixes
+    some = f"{len(held)} of {len(fixes)} fixes repeat the one before to the last digit while the odometry moves"
+    notes.append(f"{some}: held values, left out (if they are rounded measurements, write more digits)")
+    return replace(fixes.only(np.setdiff1d(np.arange(len(fixes)), held)), row=np.arange(len(fixes) - len(held)))
+
+
 def _counter_clockwise(fixes: Fixes, moved: Increments, wanted: Wanted) -> Fixes:
     """With headings of a compass, or in degrees, from east in rad, where the odometry turns as they do only then."""
     rows = np.flatnonzero(fixes.kind != FixKind.POSITION)
@@ -662,6 +676,7 @@ def _counter_clockwise(fixes: Fixes, moved: Increments, wanted: Wanted) -> Fixes
 
 
 TURNED = {-1.0: "clockwise", math.radians(1.0): "in degrees", -math.radians(1.0): "in degrees clockwise"}
+MOVED = 1e-3  # m between two fixes from which equal ones are held
 CONCENTRATED, ODD = 0.9, 0.5  # Length of the mean unit vector of angles that agree, at least, and of others, at most
 
 
