@@ -24,7 +24,8 @@ def predicted(x, P, increment):
 
 
 def corrected(x, P, nu, H, R):
-    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + block_diag(*R))
+    S = H @ P @ H.T + block_diag(*R)
+    K = P @ H.T @ np.linalg.inv(S)
     x = x + K @ nu.ravel()
     x[2] = wrap(x[2])
     return x, (np.eye(len(x)) - K @ H) @ P

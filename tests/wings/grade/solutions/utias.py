@@ -30,14 +30,16 @@ def expected(pose, landmark):
     q = dx**2 + dy**2
     r = np.sqrt(q)
     z_hat = np.array([r, wrap(np.arctan2(dy, dx) - pose[2])])
-    return z_hat, np.array([[-dx / r, -dy / r, 0.0], [dy / q, -dx / q, -1.0]])
+    H = np.array([[-dx / r, -dy / r, 0.0], [dy / q, -dx / q, -1.0]])
+    return z_hat, H
 
 
 def correct(pose, P, landmark, z, R):
     z_hat, H = expected(pose, landmark)
     nu = z - z_hat
     nu[1] = wrap(nu[1])
-    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    S = H @ P @ H.T + R
+    K = P @ H.T @ np.linalg.inv(S)
     pose = pose + K @ nu
     pose[2] = wrap(pose[2])
     return pose, (np.eye(3) - K @ H) @ P

@@ -8,7 +8,8 @@ def turn(angle):
 
 
 def to_camera(pose, corners, rotation, translation):
-    return ((corners - pose[:2]) @ turn(pose[2])) @ turn(rotation).T + translation
+    body = (corners - pose[:2]) @ turn(pose[2])
+    return body @ turn(rotation).T + translation
 
 
 def jacobian(pose, corners, rotation, translation):
