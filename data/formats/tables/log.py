@@ -643,11 +643,12 @@ def _fresh(fixes: Fixes, moved: Increments, notes: list[str]) -> Fixes:
     rows = rows[np.argsort(fixes.source[rows], kind="stable")]
     stated = np.column_stack([fixes.source, fixes.z])[rows]
     way = np.hypot(*moved.mean[:, :2].T).cumsum()[fixes.frame[rows]]
-    held = rows[1:][(stated[1:] == stated[:-1]).all(axis=1) & (np.diff(way) > MOVED)]
+    digit = np.abs(np.diff(stated[:, 1:3], axis=0))  # rounded places may repeat within two of their last digits
+    least = max(MOVED, 2.0 * digit[digit > 0].min(initial=np.inf))
+    held = rows[1:][(stated[1:] == stated[:-1]).all(axis=1) & (np.diff(way) > least)]
     if not len(held):
         return fixes
-    some = f"{len(held)} of {len(fixes)} fixes repeat the one before to the last digit while the odometry moves"
-    notes.append(f"{some}: held values, left out (if they are rounded measurements, write more digits)")
+    notes.append(f"{len(held)} of {len(fixes)} fixes repeat the one before while the odometry moves: left out as held")
     return replace(fixes.only(np.setdiff1d(np.arange(len(fixes)), held)), row=np.arange(len(fixes) - len(held)))
 
 
