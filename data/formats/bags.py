@@ -434,9 +434,8 @@ def odometry_of(path: Path, topics: Sequence[Topic], found: Collected) -> tuple[
             named = [k for k, m in below.items() if m.moves and found.tree.carries((*named, k)[0], k)] or named
         if not named:
             others = ", ".join(t.name for t in topics if t.role is Role.NOTHING and WHEELS.search(t.name + t.kind))
-            ways = ["--odom TOPIC"] * any(t.kind == ODOMETRY for t in topics) + [f"{others}: {OTHERWISE}"] * bool(
-                others
-            )
+            ways = ["--odom TOPIC"] * any(t.kind == ODOMETRY for t in topics)
+            ways += [f"{others}: {OTHERWISE}"] * bool(others)
             ways += [f"slamref convert rosbag {path} LOG --no-odometry: scans alone"] * bool(found.scans.ranges)
             what = "neither a topic of odometry nor a moving transform of the robot; one is needed"
             raise DataError.at(path, f"{what}{': ' * bool(ways)}{', or '.join(ways)}")

@@ -360,12 +360,8 @@ def settle(given: Given) -> Wanted:
         if deep:
             told = f"in {len(texts[role])} rows; the odometry has {len(texts['odometry'])}"
             columns.notes.append(f"inferred: --columns {','.join(f'{q}={n}' for q, n in deep.items())}, {told}")
-        if (
-            role in texts
-            and not stars
-            and not any(stated[q] for q in STARRED)
-            and (stars := table_files.stars(texts[role]))
-        ):
+        free = role in texts and not stars and not any(stated[q] for q in STARRED)
+        if free and (stars := table_files.stars(texts[role])):
             columns.notes.append(f"inferred: --columns {','.join(f'{q}={n}' for q, n in stars.items())}")
         if role in texts and stars:
             texts[role] = table_files.unpivoted(texts[role], stars)
