@@ -242,6 +242,8 @@ def _fields(path: Path, line: int, tag: str, fields: list[str], ids: int, count:
         value = float(word) if is_number(word) else math.nan
         if not abs(value) <= HUGE:
             wanted = f"a number of at most {HUGE:g}" if math.isfinite(value) else "a number"
+            if is_number(point := word.replace(",", ".", 1)):
+                wanted += f"; write a point: {point[:40]}"
             raise DataError.at(path, f"{tag}: {word[:40]!r} is not {wanted}", line=line)
     return tuple(keys), np.array([float(f) for f in fields[ids:]])
 

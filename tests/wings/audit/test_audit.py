@@ -126,6 +126,7 @@ BAD = [
     ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0", "with 10 numbers; 11 are needed"),
     ("EDGE_SE2 0 1 1 0 0 1 0 0 0 1 0 0 0 1", "11 are needed .of matrices"),
     ("EDGE_SE2 0 1 1 0 nan 1 0 0 1 0 1", "'nan' is not a number"),
+    ("EDGE_SE2 0 1 1 0 0 57295,8 0 0 1 0 1", "'57295,8' is not a number; write a point: 57295.8"),
     ("EDGE_SE2 0 1.5 1 0 0 1 0 0 1 0 1", "'1.5' is not an id"),
     ("EDGE_SE2 0 99 1 0 0 1 0 0 1 0 1", "vertex 99 is missing"),
     ("EDGE_SE2 4 4 1 0 0 1 0 0 1 0 1", "both ends are 4"),
