@@ -106,6 +106,7 @@ class AuditReport:
     questions: tuple[Question, ...] = ()
     unread: tuple[str, ...] = ()
     held: int = 0  # directions of the gauge that a fixed vertex ties
+    optimized: bool = False  # whether the optimizer ran first
 
     @property
     def clusters(self) -> pd.DataFrame:

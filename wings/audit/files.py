@@ -264,13 +264,14 @@ def moved(system: System, at: IntArray, x: Array, values: gtsam.Values) -> gtsam
 
 
 def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, least: float = np.inf) -> gtsam.Values:
-    """The minimum near the values by Gauss-Newton, and Levenberg-Marquardt where a step does not gain what it promises.
-    Gauge freedom stays. It ends early where the steps that are left do not lead below the cost `least`.
+    """The minimum near the values by Gauss-Newton, Levenberg-Marquardt where a step does not gain what it promises, and
+    Powell's dogleg where both end before it, as in the valleys of bearings. Gauge freedom stays. It ends early where
+    the steps that are left do not lead below the cost `least`.
     """
     if not graph.nrFactors():
         return values
     callbacks = sum(isinstance(graph.at(i), gtsam.CustomFactor) for i in range(graph.size()) if graph.exists(i))
-    system, far = linearize(graph, values), callbacks * values.size() < COPIES
+    system, far = linearize(graph, values), (few := callbacks * values.size() < COPIES)
     order, cost = ordering(system), graph.error(values)
     for _ in range(MOST):
         f = factorize(system, order)
@@ -283,24 +284,27 @@ def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, least: fl
             tried = moved(system, f.at, share * x, values)
             new = graph.error(tried)
             if far and promised > 1.0 and not cost - new > 0.5 * STRAIGHT * promised:
-                far, other = False, _damped(graph, values)
+                far, other = False, _by_gtsam(graph, values)
                 tried, new = min((tried, new), (other, graph.error(other)), key=lambda end: end[1])
             if cost - new > SETTLED * max(cost, 1.0):
                 break
         else:
-            return values
+            break
         values, cost = tried, new
         system = linearize(graph, values)
-    return values
+    return min(values, _by_gtsam(graph, values, dogleg=True), key=graph.error) if few and promised > 1.0 else values
 
 
-def _damped(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
-    """The minimum by Levenberg-Marquardt, or the values where gtsam finds the graph indeterminate."""
-    held, exact = gtsam.NonlinearFactorGraph(graph), gtsam.LevenbergMarquardtParams()
+def _by_gtsam(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, dogleg: bool = False) -> gtsam.Values:
+    """The minimum by Levenberg-Marquardt, or dogleg, or the values where gtsam finds the graph indeterminate."""
+    held = gtsam.NonlinearFactorGraph(graph)
+    exact = gtsam.DoglegParams() if dogleg else gtsam.LevenbergMarquardtParams()
     exact.setRelativeErrorTol(SETTLED)  # gross errors slow it down: each step of Gauss-Newton gains half the last
     exact.setAbsoluteErrorTol(SETTLED)
     hold(held, values)
     with suppress(RuntimeError):
+        if isinstance(exact, gtsam.DoglegParams):
+            return gtsam.DoglegOptimizer(held, values, exact).optimize()
         return gtsam.LevenbergMarquardtOptimizer(held, values, exact).optimize()
     return values
 

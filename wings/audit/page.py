@@ -51,7 +51,8 @@ def opened(
             return _of_file(file, audit, resolve, optimize=optimize is not False, told=told)
         graph, values = built_by(place)
         values = optimized(graph, values) if optimize else values
-        return Opened(_reported(audit(graph, values, None), graph, values, resolve), graph, values, None)
+        report = replace(_reported(audit(graph, values, None), graph, values, resolve), optimized=bool(optimize))
+        return Opened(report, graph, values, None)
 
 
 def _reported(a: Audit, graph: Graph, values: Values, resolve: int) -> AuditReport:
@@ -73,7 +74,7 @@ def _of_file(
     minima = _minima(ends, graph, values, report)
     (fixed,) = file.fixed if len(file.fixed) == 1 and not file.priors else (None,)
     held = 0 if fixed is None else values.dims().get(fixed if fixed in file.poses else point_key(fixed), 0)
-    return Opened(replace(report, minima=minima, unread=unread, held=held), graph, values, file)
+    return Opened(replace(report, minima=minima, unread=unread, held=held, optimized=optimize), graph, values, file)
 
 
 def rows_of(graph: Graph) -> int:
