@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from data.csv_table import bytes_of, is_number
@@ -77,6 +78,7 @@ class Edge:
     parameter: int = -1  # -1: none
     carried: Array | None = None  # (d, d) from the stated error, of a sensor with an offset, to that of the robot
     origin: Origin = Origin.STATED  # of the information; where no line states it, it is assumed to be the identity
+    whole: Array | None = None  # stated information of a relation of poses, one of which is taken for a point
 
 
 @dataclass(frozen=True, eq=False)
@@ -374,12 +376,13 @@ def with_information(graph: GraphFile, information: dict[int, Array], left_out: 
         if k in left_out:
             lines[edge.line - 1] = f"# left out: {lines[edge.line - 1]}"
         elif k in information:
-            measured, d, *_ = EDGES[edge.tag]
             words = lines[edge.line - 1].split("#")[0].split()
-            keep = words[: 1 + IDS.get(edge.tag, 2) + measured]
+            measured, d, *_ = EDGES[tag := known_tag(words[0])]
+            keep = words[: 1 + IDS.get(tag, 2) + measured]
             stated, states = information[k], graph.states(edge)
             if edge.carried is not None:
                 stated = edge.carried.T @ stated @ edge.carried
+            stated = stated if edge.whole is None else block_diag(stated, edge.whole[(n := len(stated)) :, n:])
             if states != INFORMATION:
                 stated = np.asarray(np.linalg.inv(stated) if states == COVARIANCE else np.linalg.cholesky(stated).T)
             entries = stated[np.triu_indices(d)]

@@ -22,6 +22,25 @@ from data.se2 import Array
 from graph.batch import chordal
 from wings.audit.linear import System, factorize, linearize, ordering, step, value_of
 
+FREE = 30.0  # rad, sigma of a rotation from which nothing was measured
+AS_POINT = {"EDGE_SE2": ("EDGE_SE2_XY", POINT2, 2), "EDGE_SE3:QUAT": ("EDGE_SE3_TRACKXYZ", POINT3, 3)}
+
+
+def with_landmarks(file: GraphFile) -> GraphFile:
+    """The graph with points for poses where relations only end, none of which measures a rotation: landmarks."""
+    edges, poses, points = list(file.edges), dict(file.poses), dict(file.points)
+    free = [e.tag in AS_POINT and np.trace(e.information[(d := AS_POINT[e.tag][2]) :, d:]) < FREE**-2 for e in edges]
+    held = {e.ends[0] for e in edges + file.priors} | {e.ends[1] for e, f in zip(edges, free, strict=True) if not f}
+    held |= file.points.keys()
+    for k, e in ((k, e) for k, e in enumerate(file.edges) if free[k] and e.ends[1] not in held):
+        (tag, kind, d), P = AS_POINT[e.tag], e.information
+        R = MAKE[file.kind(e)[0]](e.measured).rotation().matrix()
+        P = R @ (P[:d, :d] - P[:d, d:] @ np.linalg.solve(P[d:, d:], P[d:, :d])) @ R.T
+        edges[k] = replace(e, tag=tag, measured=e.measured[:d], information=P, carried=R, whole=e.information)
+        if e.ends[1] in poses:
+            points[e.ends[1]] = kind, poses.pop(e.ends[1])[1][:d]
+    return replace(file, edges=edges, points=points, poses=poses)
+
 
 def chordal_start(file: GraphFile) -> dict[int, Any]:
     """Poses by id of all that relations tie; the first of each connected part is the origin."""

@@ -16,7 +16,7 @@ from data.origin import Origin
 from data.se2 import Array
 from wings.audit.audit import DRAWS, LOG_FAMILY, TURNS, Audit, Told, examined, places, unheard
 from wings.audit.examined import AuditReport, Second, reported
-from wings.audit.files import EDGES, LAST_FIRST, build, built_by, optimized, other_starts, point_key
+from wings.audit.files import EDGES, LAST_FIRST, build, built_by, optimized, other_starts, point_key, with_landmarks
 from wings.audit.linear import Graph, Values, name, value_of
 
 LARGEST, SMALL = 6000, 2000  # factors up to which other starts are tried, and the graph is solved without a factor
@@ -62,7 +62,7 @@ def _reported(a: Audit, graph: Graph, values: Values, resolve: int) -> AuditRepo
 def _of_file(
     file: GraphFile, audit: Callable[..., Audit], resolve: int = 0, *, optimize: bool = True, told: Told = unheard
 ) -> Opened:
-    graph, values, names = build(file)
+    graph, values, names = build(file := with_landmarks(file))
     told("opened", factors=graph.size(), variables=values.size())
     ends: dict[str, Values] = {}
     if optimize:  # of several minima the lowest is examined

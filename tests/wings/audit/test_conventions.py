@@ -120,3 +120,24 @@ def test_a_measured_pose_in_space_is_a_prior_of_the_robot_beside_a_vertex_that_i
     error = gtsam.Pose3.Logmap(z.between(robot.compose(sensor)))[[3, 4, 5, 0, 1, 2]]
     assert 2 * graph.at(2).error(values) == pytest.approx(error @ root @ root.T @ error, rel=1e-6)
     assert np.diag(file.priors[1].information) == pytest.approx([1.0, 4.0, 9.0])
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_poses_that_are_seen_without_a_rotation_are_landmarks_whatever_their_numbers(tmp_path, d):
+    """The step from the last pose 5 to point 6 was one of odometry, free rotations shared in the noise of points."""
+    rng, n, tag = np.random.default_rng(d), d * (d + 1) // 2, "SE2" if d == 2 else "SE3:QUAT"
+    turn, upper = ("0", "0 0 0 1")[d - 2], np.triu_indices(n)
+    motion, seen = (np.diag([40.0] * d + [r] * (n - d))[upper].tolist() for r in (40.0, 1e-6))
+    places = np.vstack([np.arange(5)[:, None] * np.eye(d)[0], rng.uniform(-5, 5, (30, d))])
+    lines = [f"VERTEX_{tag} {k + 1} {' '.join(map(repr, p.tolist()))} {turn}" for k, p in enumerate(places)]
+    for a, b in [(k, k + 1) for k in range(4)] + [(k, j) for k in range(5) for j in range(5, 35)]:
+        z = (places[b] - places[a] + rng.normal(0, 2 / 40**0.5, d) * (b > 4)).tolist()
+        lines.append(
+            " ".join([f"EDGE_{tag} {a + 1} {b + 1}", *map(repr, z), turn, *map(str, seen if b > 4 else motion)])
+        )
+    (tmp_path / "g.g2o").write_text("\n".join(lines))
+    found = page.opened(str(tmp_path / "g.g2o"), None, draws=0)
+    assert found.report.kinds["n"].to_dict() == {"odometry": 4, "landmark": 150}
+    assert found.report.kinds["sigma_factor"]["landmark"] == pytest.approx(2.0, rel=0.1)
+    assert page.cured(found, tmp_path / "better.g2o", 0)["left_out"].tolist() == [0, 0]
+    assert (tmp_path / "better.g2o").read_text().count("e-06") == 150 * (n - d)
