@@ -54,8 +54,7 @@ def may_be_in_view(sensor: Sensor, pose: Array, xy: Array, sigma: Array, heading
     """
     z_hat = sensor.predict(pose, xy)
     total = sigma + math.hypot(*sensor.translation) * heading
-    r = np.maximum(sensor.polar(z_hat)[:, 0], MIN_RANGE)
-    angle = SIGMAS * (total / r + heading) + MARGIN
+    angle = SIGMAS * (total / np.maximum(sensor.polar(z_hat)[:, 0], MIN_RANGE) + heading) + MARGIN
     return sensor.in_view(z_hat, margin_range=SIGMAS * total, margin_angle=np.minimum(angle, math.pi))
 
 

@@ -25,8 +25,7 @@ def aligned_with_observations(e: Expectation, sensor: Sensor) -> Expectation:
     if sensor.sees_points or not len(e.z) or not len(e.number):
         return e
     off = np.abs(sensor.residual(e.z[:, None], e.z_hat[None])[..., 0])
-    nearest = off.argmin(axis=0)
-    turned = np.abs(wrap_angle(e.z[nearest, 1] - e.z_hat[:, 1])) > 0.5 * math.pi
+    turned = np.abs(wrap_angle(e.z[off.argmin(axis=0), 1] - e.z_hat[:, 1])) > 0.5 * math.pi
     if not turned.any():
         return e
     elsewhere, sign = e.elsewhere, np.where(turned, -1.0, 1.0)

@@ -67,8 +67,7 @@ def _second_order(each: EachSensor, pose: Array, P: Array, R: Array, place: Plac
     sigma = np.sqrt(np.einsum("mii->mi", Hx @ own @ Hx.transpose(0, 2, 1) + R))
     r = np.maximum(np.hypot(*(pose[:, :2] - place.xy).T), MIN_RANGE)
     term = 0.5 * np.linalg.eigvalsh(place.covariance)[-1] / np.stack([r, r**2], 1)
-    measured = np.array([[q in s.measures for q in (0, 1)] for s in each.sensors])
-    return float((term / sigma)[measured].max())
+    return float((term / sigma)[np.array([[q in s.measures for q in (0, 1)] for s in each.sensors])].max())
 
 
 def _relative(pose: Array, covariance: Array) -> tuple[Array, Array]:

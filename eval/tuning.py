@@ -385,8 +385,7 @@ def fit(model: Model, decisions: IntArray, frames: int | None = None) -> Fit:
         moving = free & ~edge
         if not moving.any():
             break
-        of = partial(_slope, near(theta, moving), step=10.0 * STEP)
-        H = _slope(of, (theta / limit)[moving], 10.0 * STEP)
+        H = _slope(partial(_slope, near(theta, moving), step=10.0 * STEP), (theta / limit)[moving], 10.0 * STEP)
         values, vectors = np.linalg.eigh(H)
         if values[0] < 1.0:  # along this direction a step of the limit changes the likelihood by less than 1/2
             vague = np.flatnonzero(moving)[np.argmax(np.abs(vectors[:, 0]))]

@@ -914,8 +914,7 @@ def _of_poses(topic: Topic, rows: Sequence[Pose], mounted: tuple[Array, Array] |
 
 def _filled(covariance: Array, topic: Topic, wanted: Wanted) -> Array:
     """Covariances (n, d, d), those that are not stated from a sigma."""
-    low = np.linalg.eigvalsh(np.where(np.isfinite(covariance), covariance, 0.0))[:, 0]
-    lacking = ~(low > 0.0)
+    lacking = ~(np.linalg.eigvalsh(np.where(np.isfinite(covariance), covariance, 0.0))[:, 0] > 0.0)
     if lacking.any():
         covariance = covariance.copy()
         covariance[lacking] = wanted.sigma(topic.role) ** 2 * np.eye(covariance.shape[-1])

@@ -210,8 +210,7 @@ def _prior(graph: Graph, ids: IntArray, start: Array, origins: dict[str, Origin]
 
 def _own_prior(graph: Graph, ids: IntArray) -> IntArray:
     """Row of the measured pose that is the prior of the first one, if there is one."""
-    own = np.flatnonzero(graph.prior.ends[:, 0] == ids[0])[:1]
-    return own[: int(ids[0]) not in graph.file.fixed]
+    return np.flatnonzero(graph.prior.ends[:, 0] == ids[0])[:1][: int(ids[0]) not in graph.file.fixed]
 
 
 def _frame_of(ids: IntArray, vertex: IntArray) -> IntArray:

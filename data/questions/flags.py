@@ -29,8 +29,7 @@ def metres_of(log: Log) -> str:
 
 def flags_of(r: Reading, log: Log) -> tuple[str, ...]:
     """The flags of `slamref convert table` by which a log is read that way; none where no flag does."""
-    kind = str(log.source.get(ODOMETRY_KIND, "velocities"))
-    lengths, angles = QUANTITIES.get(kind, QUANTITIES["velocities"])
+    lengths, angles = QUANTITIES.get(str(log.source.get(ODOMETRY_KIND, "velocities")), QUANTITIES["velocities"])
     cartesian = log.recorded.sensor.kind == RELATIVE_POINT
     ranges = "observations.x,observations.y" if cartesian else "observations.range"
     bearings = "observations.y" if cartesian else "observations.bearing"
@@ -58,8 +57,7 @@ def flags_of(r: Reading, log: Log) -> tuple[str, ...]:
         return ("--unit lat=rad,lon=rad",)
     keys = ["time"] if r.unit == "min" and r.of == "v and omega" else columns.get(r.of, "").split(",")
     if r.kind in (Kind.UNIT, Kind.SIDE) or r.unit == "row" or (r.kind == Kind.STRANGE and r.unit):
-        pairs = [f"{key}={_unit(log, key, r)}" for key in keys]
-        return ("--unit " + ",".join(pairs),)
+        return ("--unit " + ",".join([f"{key}={_unit(log, key, r)}" for key in keys]),)
     if r.kind == Kind.FRAME:
         before = np.array(log.source.get(TRUTH_POSE, np.zeros(3)), float)
         return (f"--truth-transform={as_pose(compose(np.array(r.carry), before), metres_of(log))}",)

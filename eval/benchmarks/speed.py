@@ -112,8 +112,7 @@ GATE = 0.99
 def hard_frame(observations: int, landmarks: int, ambiguous: int) -> Expectation:
     """A frame whose landmarks are far apart, `ambiguous` of them with a neighbour inside the gate, all correlated."""
     rng = np.random.default_rng(0)
-    side = int(np.ceil(np.sqrt(landmarks)))
-    xy = 4.0 * np.stack(np.divmod(np.arange(landmarks), side), axis=1).astype(float)
+    xy = 4.0 * np.stack(np.divmod(np.arange(landmarks), int(np.ceil(np.sqrt(landmarks)))), axis=1).astype(float)
     xy[observations : observations + ambiguous] = xy[:ambiguous] + np.array([0.12, 0.05])
     pose = np.tile(np.eye(2), (landmarks, 1))  # a pose error shifts all expectations alike
     joint = pose @ (0.03 * np.eye(2)) @ pose.T + 1e-3 * np.eye(2 * landmarks)

@@ -56,8 +56,7 @@ def apart(seed: int) -> tuple[Expectation, IntArray]:
     """Candidates far apart, all seen exactly, in another order; and the right decisions."""
     rng = np.random.default_rng([seed, 0xFA4])
     n = 6
-    angle = wrap_angle(math.pi + 2.0 * math.pi * np.arange(n) / n)
-    z_hat = np.column_stack([np.full(n, 5.0), angle])
+    z_hat = np.column_stack([np.full(n, 5.0), wrap_angle(math.pi + 2.0 * math.pi * np.arange(n) / n)])
     order = rng.permutation(n)
     number = rng.permutation(4 * n)[:n]
     return frame(z_hat[order], z_hat, 1e-3 * np.eye(2 * n), 1e-3 * np.eye(2), number), number[order]

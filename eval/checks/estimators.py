@@ -74,8 +74,7 @@ def seams(text: str, task: str) -> Iterator[Finding]:
     path, ours = (completed(name, inputs, task)[1] for name in (text, "ekf"))
     worst, where = 0.0, 0.0
     for angle in TURNS:
-        turned = f"the world turned by {angle:.3g} rad: "
-        other = completed(text, worlds.turned(inputs, angle), task, turned)[1]
+        other = completed(text, worlds.turned(inputs, angle), task, f"the world turned by {angle:.3g} rad: ")[1]
         far = off(worlds.turned_back(other.pose, angle), path.pose, ours.covariance)
         worst, where = max((worst, where), (far, angle))
     yield graded("angle seams", worst, f"the same path in a world turned by {where:.3g} rad")

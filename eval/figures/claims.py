@@ -171,8 +171,7 @@ def _scale(axes: Sequence[Axes], curves: Sequence[Array], lower: float, upper: f
     highest = float(np.quantile(finite, 0.999)) if len(finite) else 0.0
     for ax in axes:
         if highest > LOG_ABOVE * upper:
-            positive = finite[finite > 0.0]
-            low = min(0.5 * lower, float(np.quantile(positive, 0.02)))
+            low = min(0.5 * lower, float(np.quantile(finite[finite > 0.0], 0.02)))
             ax.set_yscale("log")
             ax.set_ylim(max(low, 1e-3), 1.5 * float(finite.max()))
             if highest < 1e4:

@@ -119,8 +119,7 @@ def score_source(run: Run, source: Source, phase: str, truth: Truth | None = Non
     taken = used & formed
     total, count = int(dof[taken].sum()), int(formed.sum())
     if count:
-        one = float(log_tail(nis[formed], dof[formed]).min())
-        chance = float(least_of(min(one, -1e-12), count))
+        chance = float(least_of(min(float(log_tail(nis[formed], dof[formed]).min()), -1e-12), count))
         largest = float(nis[formed].max())
         bare = replace(bare, gate=found.gate, formed=count, dof=int(dof[0]), largest=largest, log_chance=chance)
     if not total:

@@ -48,8 +48,7 @@ def crashed(fault: Exception, frame: int) -> Failure:
         return Failure("diverged", frame, stopped(str(fault)))
     if isinstance(fault, (SlamrefError, MemoryError)):
         raise fault
-    trace = "".join(traceback.format_exception(fault))
-    return Failure("diverged", frame, stopped(in_one_line(fault)), trace)
+    return Failure("diverged", frame, stopped(in_one_line(fault)), "".join(traceback.format_exception(fault)))
 
 
 _found: tuple[int, ThreadpoolController] | None = None

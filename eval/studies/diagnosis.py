@@ -149,8 +149,7 @@ def _correlation(keys: Sequence[Key], inputs: Inputs, smoother: Run | None) -> A
     result = np.eye(len(keys))
     if smoother is None or smoother.flaw is not None or smoother.final is None:
         return result
-    along = smoother.errors_final
-    found = effects.scored(inputs, _path(smoother), residuals.used_by(smoother, inputs), along)
+    found = effects.scored(inputs, _path(smoother), residuals.used_by(smoother, inputs), smoother.errors_final)
     place = {name: i for i, name in enumerate(found.names)}
     rows = [i for i, (_, name) in enumerate(keys) if name.removeprefix("slope_") in place and name.startswith("slope_")]
     own = [place[keys[i][1].removeprefix("slope_")] for i in rows]
@@ -449,8 +448,7 @@ def _fitted(e: Evidence, smoother: Run, stated: float, finding: Finding, inputs:
         if abs(found.x - middle) < WIDE - STEP:
             break
         middle = float(found.x)
-    beside = [lost(found.x + step) for step in (-STEP, STEP)]
-    curvature = (sum(beside) - 2.0 * found.fun) / STEP**2
+    curvature = (sum([lost(found.x + step) for step in (-STEP, STEP)]) - 2.0 * found.fun) / STEP**2
     size = math.exp(found.x)
     error = size / math.sqrt(curvature) if curvature > 0.0 else math.nan
     fitted = replace(finding, size=size, error=error, gain=-found.fun - stated)

@@ -280,8 +280,7 @@ def _whitened(
         (error, A), beneath = _callback(factor, i, keys, values), model.noise()
         loss: Any = model.robust()  # the stubs do not know the weight
         r = beneath.whiten(error)
-        weight = max(float(loss.weight(float(np.linalg.norm(r)))), IGNORED)
-        return beneath.Whiten(A), r, weight, None
+        return beneath.Whiten(A), r, max(float(loss.weight(float(np.linalg.norm(r)))), IGNORED), None
     if isinstance(factor, gtsam.CustomFactor):
         error, A = _callback(factor, i, keys, values)
         if model is not None and exact is not None:

@@ -131,8 +131,7 @@ def cured(before: Opened, out: Path, draws: int = DRAWS, seed: int = 0, rejected
         made = cure(before.file, before.report.audit, before.values, robust=rejected == ROBUST)
         text = with_information(before.file, made.information, made.left_out)
         out.write_text(text, encoding="utf-8", newline="\n")
-        audit = partial(examined, draws=draws, seed=seed)
-        after = _of_file(graph_file_of(out, text), audit)
+        after = _of_file(graph_file_of(out, text), partial(examined, draws=draws, seed=seed))
     return pd.DataFrame([_row("before", before.report.audit), _row("after", after.report.audit, made)])
 
 

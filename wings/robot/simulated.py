@@ -87,8 +87,7 @@ def floor_of(seed: int) -> Room:
 
 def _apart(a: tuple[float, float, float, float], b: tuple[float, float, float, float]) -> float:
     """Distance [m] of two rectangles x0, y0, x1, y1."""
-    dx = max(a[0] - b[2], b[0] - a[2], 0.0)
-    return math.hypot(dx, max(a[1] - b[3], b[1] - a[3], 0.0))
+    return math.hypot(max(a[0] - b[2], b[0] - a[2], 0.0), max(a[1] - b[3], b[1] - a[3], 0.0))
 
 
 def cast(room: Room, poses: Array, half_angle: float = CONE_HALF_ANGLE) -> Echo:

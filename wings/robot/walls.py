@@ -50,8 +50,7 @@ def echo_points(sensors: Array, ranges: Array, alpha: float | Array) -> Array:
     """Points (..., N, 2) that the echoes came from: within the cone, nearest to the normal's direction `alpha` [rad].
     `sensors` (..., N, 3) are sonar poses, `ranges` (..., N) distances [m]; `alpha` is scalar or (..., 1).
     """
-    turn = np.clip(wrap_angle(alpha - sensors[..., 2]), -CONE_HALF_ANGLE, CONE_HALF_ANGLE)
-    way = sensors[..., 2] + turn
+    way = sensors[..., 2] + np.clip(wrap_angle(alpha - sensors[..., 2]), -CONE_HALF_ANGLE, CONE_HALF_ANGLE)
     return np.stack([sensors[..., 0] + ranges * np.cos(way), sensors[..., 1] + ranges * np.sin(way)], axis=-1)
 
 
@@ -63,8 +62,7 @@ def total_least_squares(points: Array, weights: Array, sensors: Array) -> tuple[
     mean = (weights[..., None] * points).sum(-2) / total[..., None]
     d = points - mean[..., None, :]
     sxx, syy = (weights * d[..., 0] ** 2).sum(-1), (weights * d[..., 1] ** 2).sum(-1)
-    sxy = (weights * d[..., 0] * d[..., 1]).sum(-1)
-    alpha = 0.5 * np.arctan2(-2.0 * sxy, syy - sxx)
+    alpha = 0.5 * np.arctan2(-2.0 * (weights * d[..., 0] * d[..., 1]).sum(-1), syy - sxx)
     before = mean - (weights[..., None] * sensors[..., :2]).sum(-2) / total[..., None]
     alpha = np.where(before[..., 0] * np.cos(alpha) + before[..., 1] * np.sin(alpha) < 0.0, alpha + math.pi, alpha)
     return mean[..., 0] * np.cos(alpha) + mean[..., 1] * np.sin(alpha), alpha

@@ -48,8 +48,7 @@ def load_plaza(number: int, scale: float = SCALE, sigma: float = SIGMA) -> Log:
     ranges = ranges[inside]
     time = frame_times(ranges[:, 0], stamp[0], stamp[-1])
     steps = np.vstack([np.zeros(3), se2.along_arcs(odometry[:, 1], odometry[:, 2])])
-    path_driven = se2.dead_reckoned(true[0], steps)
-    increments, floored = increments_of(se2.interpolate(stamp, path_driven, time), NOISE)
+    increments, floored = increments_of(se2.interpolate(stamp, se2.dead_reckoned(true[0], steps), time), NOISE)
     label = ranges[:, 2].astype(np.int64)
     order = np.argsort(beacons[:, 0])
     landmarks = LandmarkMap(beacons[order, 0].astype(np.int64), beacons[order, 1:])

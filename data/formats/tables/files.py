@@ -125,8 +125,7 @@ def _number(field: str, *, comma: bool = False) -> float:
 def _is_row(fields: Sequence[str]) -> bool:
     """Whether at least half of a line's non-blank fields are numbers or dates."""
     filled = [f for f in fields if f]
-    values = sum(is_number(f.replace(",", ".")) or is_date(f) for f in filled)
-    return bool(filled) and 2 * values >= len(filled)
+    return bool(filled) and 2 * sum(is_number(f.replace(",", ".")) or is_date(f) for f in filled) >= len(filled)
 
 
 def _is_title(rows: Sequence[Sequence[str]]) -> bool:

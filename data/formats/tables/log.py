@@ -174,8 +174,7 @@ def _measured(role: str, table: Table, path: Path, at: Array, stamped: bool, z: 
     given = [name or stem for name in table.texts.get("source", [""] * len(z))]
     names = tuple(dict.fromkeys(given)) or (stem,)
     number = {name: k for k, name in enumerate(names)}
-    source = np.array([number[n] for n in given], np.int64)
-    return Rows(role, one, table, at, stamped, z, sigma, source, names)
+    return Rows(role, one, table, at, stamped, z, sigma, np.array([number[n] for n in given], np.int64), names)
 
 
 def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry: Odometry, notes: list[str]) -> Rows:

@@ -112,8 +112,7 @@ def short_caption(stem: str, caption: str) -> str:
     if "-trust-" in stem:
         title = TITLES["trust"]
     first = caption.partition(". ")[0].partition(": ")[0].rstrip(".").replace("`", "")
-    parts = [place(p) for p in first.split(", ")]
-    where = ", ".join(parts) if len(first) <= LONGEST else ""
+    where = ", ".join([place(p) for p in first.split(", ")]) if len(first) <= LONGEST else ""
     return ": ".join(t for t in (title, where) if t) or stem
 
 
