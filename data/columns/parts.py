@@ -14,20 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from data.columns import appearance as looks
+from data.columns import poses
 from data.columns.header import FORMAT, HEADER, LATEST, Header, header_of
 from data.columns.named import COVARIANCE, UPPER, require_semidefinite, unused
-from data.columns.poses import (
-    CLOSURE,
-    ENDS,
-    FIX,
-    POSE,
-    RELATIVE,
-    SOURCE,
-    closures_columns,
-    closures_of,
-    fixes_columns,
-    fixes_of,
-)
 from data.columns.sensors import FIRST, NOISE, SENSOR, may_be_blank, observed
 from data.csv_table import Columns, Table
 from data.errors import DataError, unknown
@@ -54,7 +43,7 @@ def columns_of(header: Header, key: str) -> dict[str, Columns]:
     second = ("z2",) if any(s.sensor.locates for s in header.sensors) else ()
     seen = (*looks.NUMBERS, looks.CLASS) if latest else ()
     known = (KIND, looks.DESCRIPTOR, looks.CLASS) if latest else ()
-    motion, other = (*RELATIVE, *COVARIANCE), "t" if key == "frame" else "frame"
+    motion, other = (*poses.RELATIVE, *COVARIANCE), "t" if key == "frame" else "frame"
     return {
         FRAMES: Columns(("t", *(motion if header.motion_prior is None else ())), (*motion, STAMP)),
         ODOMETRY: Columns(("t", *VELOCITIES)),
@@ -62,13 +51,13 @@ def columns_of(header: Header, key: str) -> dict[str, Columns]:
             (key, "z1", *second), (*NOISE, *IDS, other, *seen, *(("z2", SENSOR) if blank else ())),
             (*IDS, other, *looks.NUMBERS, *blank), (SENSOR, looks.CLASS),
         ),
-        TRUTH: Columns(POSE if key == "frame" else ("t", *POSE), (), POSE),
+        TRUTH: Columns(poses.POSE if key == "frame" else ("t", *poses.POSE), (), poses.POSE),
         LANDMARKS: Columns(
             ("id", "x", "y"), (*SIGMAS, *TRUE_PLACE, *known),
             (*SIGMAS, *TRUE_PLACE, looks.DESCRIPTOR), (KIND, looks.CLASS),
         ),
-        FIXES: fixes_columns(key),
-        CLOSURES: closures_columns(key),
+        FIXES: poses.fixes_columns(key),
+        CLOSURES: poses.closures_columns(key),
     }  # fmt: skip
 
 
@@ -85,7 +74,7 @@ class Parts(NamedTuple):
 def parts_of(header: Header, tables: Mapping[str, Table]) -> Parts:
     """A log from its tables by file name, with the covariance floor. DataError with file, line, column and value."""
     key, gaps = "frame" if FRAMES in tables else "t", 0
-    keyed = {OBSERVATIONS: (key,), FIXES: (key,), CLOSURES: ENDS[key]}
+    keyed = {OBSERVATIONS: (key,), FIXES: (key,), CLOSURES: poses.ENDS[key]}
     keyed = {name: columns for name, columns in keyed.items() if name in tables}
     for name, columns in keyed.items():
         tables[name].require_finite(columns)
@@ -117,9 +106,11 @@ def parts_of(header: Header, tables: Mapping[str, Table]) -> Parts:
         known = replace(known, appearance=looking)
     fixes = closures = fix_inlier = closure_inlier = None
     if FIXES in tables:
-        fixes, fix_inlier = fixes_of(tables[FIXES], header.fixes, frames[FIXES][0])
+        fixes, fix_inlier = poses.fixes_of(tables[FIXES], header.fixes, frames[FIXES][0])
     if CLOSURES in tables:
-        closures, closure_inlier = closures_of(tables[CLOSURES], header.closures, frames[CLOSURES], ENDS[key])
+        closures, closure_inlier = poses.closures_of(
+            tables[CLOSURES], header.closures, frames[CLOSURES], poses.ENDS[key]
+        )
     covariance, floored = floor_covariances(increments.covariance, header.covariance_floor)
     inputs = Inputs(
         prior=header.prior, time=time, increments=Increments(increments.mean, covariance),
@@ -138,7 +129,7 @@ def parts_of(header: Header, tables: Mapping[str, Table]) -> Parts:
 
 def _frames(table: Table, prior: MotionPrior | None) -> tuple[Array, Increments]:
     """Time (N,) and increments of frames.csv, or those of a motion prior."""
-    motion = (*RELATIVE, *COVARIANCE)
+    motion = (*poses.RELATIVE, *COVARIANCE)
     if len(table) == 0:
         raise DataError.at(table.path, "no rows; at least one frame is needed", line=1)
     table.require_finite([name for name in ("t", *(motion if prior is None else ()), STAMP) if name in table])
@@ -155,7 +146,7 @@ def _frames(table: Table, prior: MotionPrior | None) -> tuple[Array, Increments]
         table.require((table.columns[name] == 0.0) | (np.arange(len(table)) > 0), name, what)
     covariance = table.symmetric(COVARIANCE)
     require_semidefinite(table, covariance)
-    return time, Increments(table.stack(RELATIVE), covariance)
+    return time, Increments(table.stack(poses.RELATIVE), covariance)
 
 
 def _within_odometry(
@@ -240,16 +231,16 @@ def landmarks_of(table: Table) -> tuple[LandmarkMap, LandmarkMap | None]:
 
 def _truth(table: Table, time: Array, key: str) -> Array:
     """True poses (N, 3) at the frames, NaN where unknown: a row for each, or stamped and interpolated."""
-    table.require_finite(POSE, blank=True)
+    table.require_finite(poses.POSE, blank=True)
     if key == "t":
         table.require_finite(("t",))
         table.require_ascending("t", strictly=True)
-        return truth_at(table.columns["t"], table.stack(POSE), time)
+        return truth_at(table.columns["t"], table.stack(poses.POSE), time)
     if len(table) != len(time):
         what = f"{len(table)} rows for {len(time)} frames; one row per frame is needed"
         last = int(table.line[min(len(table), len(time) + 1) - 1]) if len(table) else 1
         raise DataError.at(table.path, what, line=last)
-    return table.stack(POSE)
+    return table.stack(poses.POSE)
 
 
 MORE = (OBSERVATIONS, LANDMARKS)
@@ -260,7 +251,7 @@ COLUMNS = {
     "landmark_descriptor": (LANDMARKS, looks.DESCRIPTOR), "landmark_classes": (LANDMARKS, looks.CLASS),
 }  # fmt: skip
 """Arguments that are further columns of a table."""
-WORDS = (SENSOR, KIND, SOURCE, looks.CLASS)  # Columns of words
+WORDS = (SENSOR, KIND, poses.SOURCE, looks.CLASS)  # Columns of words
 SOURCES = "sources"  # Key of fixes and closures: the tables [[fix]], [[closure]] of log.toml
 
 
@@ -288,7 +279,7 @@ def parts_of_arrays(
     keys |= {"labels_are_sensed": labels_are_sensed, "time_is_index": increments is not None and time is None}
     if motion is not None:
         keys["motion"] = _plain(motion)
-    for kind, part in ((FIX, fixes), (CLOSURE, closures)):
+    for kind, part in ((poses.FIX, fixes), (poses.CLOSURE, closures)):
         if part is not None and SOURCES in part:
             keys[kind] = [_plain(source) for source in part[SOURCES]]
     header = header_of(keys, fault)
@@ -307,7 +298,7 @@ def parts_of_arrays(
     if odometry is not None:
         tables[ODOMETRY] = _table(f"{name}: odometry", odometry, ("t", *VELOCITIES))
     else:
-        steps = _table(f"{name}: increments", [] if increments is None else increments, RELATIVE)
+        steps = _table(f"{name}: increments", [] if increments is None else increments, poses.RELATIVE)
         if covariance is None:
             raise fault("increments need a covariance: (N, 3, 3), (3, 3), or sigmas (3,)")
         P = _covariances(f"{name}: covariance", covariance, len(steps), 3)
@@ -316,7 +307,7 @@ def parts_of_arrays(
         steps = replace(steps, columns={**steps.columns, **dict(zip(COVARIANCE, P[:, *UPPER].T, strict=True))})
         tables[FRAMES] = _with(steps, name, {"time": ("t", np.arange(len(steps)) if time is None else time)})
     if truth is not None:
-        tables[TRUTH] = _table(f"{name}: truth", truth, POSE if odometry is None else ("t", *POSE))
+        tables[TRUTH] = _table(f"{name}: truth", truth, poses.POSE if odometry is None else ("t", *poses.POSE))
     if landmarks is not None:
         wide = np.ndim(landmarks) == 2 and np.shape(landmarks)[1] == 3 + len(SIGMAS)
         places = _table(f"{name}: landmarks", landmarks, ("id", "x", "y", *(SIGMAS if wide else ())))
