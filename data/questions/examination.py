@@ -467,10 +467,8 @@ def paths_otherwise(
         lie = np.mean(fitted**2) < WELL**2 * np.mean(np.var(other[:, :2], axis=0))
         fast = np.median(np.hypot(*np.diff(other[:, :2], axis=0).T) / np.diff(time)) > SPEED
         wrong = ("deg", "yd", *["km"] * bool(fast))  # a scale of 1.09 is likelier than yards, mm likelier than km
-        some = (
-            r for r in readings.READINGS if r.part == Part.TRUTH and r.of != "truth and map" and r.unit not in wrong
-        )
-        singles = [x.judged(r) for r in some if r.of == "truth.theta" or not lie]
+        some = (r for r in readings.READINGS if r.part == Part.TRUTH and r.of != "truth and map")
+        singles = [x.judged(r) for r in some if r.unit not in wrong and (r.of == "truth.theta" or not lie)]
         if (headings := raw[k]) is not None and np.std(headings) > TURNS_ABOUT:
             degrees = np.column_stack([own[:, :2], DEG * headings])
             singles.append(x.judged(Reading(Kind.UNIT, "truth.theta", lambda c, d=degrees: replace(c, truth=d), "deg")))  # type: ignore[misc]
@@ -692,10 +690,7 @@ def _mirrored(log: Log) -> list[Explained]:
     return _told(kind, of, "fixes and odometry", stated, fits)
 
 
-STRETCHES, SHARP = (
-    8,
-    0.33,
-)  # Parts of a log, in each of which odometry drifts little; as `PLAIN`, since a bias turns, too
+STRETCHES, SHARP = 8, 0.33  # Parts of a log, in each of which odometry drifts little; as `PLAIN`, as a bias turns, too
 
 
 def _by_way(log: Log) -> list[Explained]:

@@ -421,10 +421,8 @@ def _systematic(e: Evidence, smoother: Run, taken: Sequence[str], noisy: Inputs)
             break
         less, finding = _exactly(explanations.corrected(own, found[best].finding), smoother, found[best].finding)
         gain = _likelihood(less, own.used, smoother) - _likelihood(noisy, own.used, smoother)
-        if (
-            not gain / explanations.excess(own, finding.name)
-            > explanations.ALIKE + found[best].finding.gain - found[best].net
-        ):
+        least = explanations.ALIKE + found[best].finding.gain - found[best].net
+        if not gain / explanations.excess(own, finding.name) > least:
             break
         findings.append(replace(finding, gain=gain))
         noisy, inputs = less, effects.without(inputs, own.path, own.used, finding.sizes)

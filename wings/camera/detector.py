@@ -267,12 +267,8 @@ def shape_fault(pixels: Array, size: tuple[int, int], aspect: float) -> str | No
     width, height = np.sqrt(length[0] * length[2]), np.sqrt(length[1] * length[3])
     squeeze = height / width / aspect
     taper = max(max(length[i], length[i + 2]) / min(length[i], length[i + 2]) for i in (0, 1))
-    if (
-        length.min() < MIN_SIDE
-        or taper > MAX_TAPER
-        or not 1 / MAX_SQUEEZE < squeeze < MAX_SQUEEZE
-        or sine.min() < np.sin(np.radians(MIN_ANGLE))
-    ):
+    small = length.min() < MIN_SIDE or sine.min() < np.sin(np.radians(MIN_ANGLE))
+    if small or taper > MAX_TAPER or not 1 / MAX_SQUEEZE < squeeze < MAX_SQUEEZE:
         return IMPLAUSIBLE_SHAPE
     # a pixel extends half a pixel beyond its centre
     return OUTSIDE if np.any(pixels < -0.5) or np.any(pixels > np.array([size[1], size[0]]) - 0.5) else None

@@ -186,13 +186,9 @@ class Beams(NamedTuple):
     @property
     def possible(self) -> bool:
         """Whether a scanner can have them: at least one beam, at most a circle, directions within a turn of ahead."""
-        return (
-            0 < self.number <= MOST_BEAMS
-            and NARROWEST <= abs(self.step) <= WIDEST
-            and abs(self.step) * (self.number - 1) < CIRCLE
-            and abs(1000 * self.first) <= CIRCLE
-            and self.reach > 0
-        )
+        step, ahead = abs(self.step), abs(1000 * self.first) <= CIRCLE and self.reach > 0
+        fine = NARROWEST <= step <= WIDEST and step * (self.number - 1) < CIRCLE
+        return ahead and fine and 0 < self.number <= MOST_BEAMS
 
 
 class Scan(NamedTuple):

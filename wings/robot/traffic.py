@@ -193,11 +193,9 @@ def reachable(before: protocol.Answer, after: protocol.Answer, elapsed: float, *
 
 def moved(before: protocol.Answer, after: protocol.Answer) -> tuple[int, int, int]:
     """Differences of x, y [mm] and heading [mrad], across overflow."""
-    return (
-        protocol.overflowed(after.x - before.x),
-        protocol.overflowed(after.y - before.y),
-        protocol.overflowed(after.heading - before.heading),
-    )
+    overflowed = protocol.overflowed
+    dx, dy, turn = after.x - before.x, after.y - before.y, after.heading - before.heading
+    return overflowed(dx), overflowed(dy), overflowed(turn)
 
 
 class Unwrapper:

@@ -200,9 +200,8 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
         rows, number = rows[1:], number[1:]
     if seen and (found := _by_rows(rows, np.searchsorted(every, number).tolist(), len(every), odometry)):
         names, rows, row_of = found
-        said = (
-            f"inferred: a row for each of the odometry, of any number of observations of columns {','.join(names[:-1])}"
-        )
+        of = ",".join(names[:-1])
+        said = f"inferred: a row for each of the odometry, of any number of observations of columns {of}"
         return TextTable(path, names, tuple(rows), number[row_of], named=True, cut=said, steps=len(every))
     if not _is_row(rows[0]):
         names, rows, number = rows[0], rows[1:], number[1:]

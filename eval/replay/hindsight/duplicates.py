@@ -11,6 +11,7 @@ votes are compared.
 
 import math
 from collections.abc import Collection
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -270,10 +271,7 @@ def comparable(slam: EkfSlam, young: list[int], old: list[int], gate: float) -> 
     off = here[:, None] - there[None]
     near = (off**2).sum(axis=2) < gate * (2.0 * (a[:, None] + b[None]) + constants.EXACT_VARIANCE)
     near &= np.array(young)[:, None] != np.array(old)[None]
-    return (
-        [n for n, any_ in zip(young, near.any(axis=1), strict=True) if any_],
-        [n for n, any_ in zip(old, near.any(axis=0), strict=True) if any_],
-    )
+    return list(compress(young, near.any(axis=1))), list(compress(old, near.any(axis=0)))
 
 
 def constellation(
