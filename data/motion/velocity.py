@@ -221,8 +221,8 @@ def preintegrate(model: VelocityModel, time: Array, v: Array, omega: Array, at: 
 
 
 def longest_hold(time: Array) -> float:
-    """Longest hold [s] of samples at `time` (K,): `MAX_HOLD`, or 1.5 times their usual interval."""
-    return usual_gap(time, math.inf)
+    """Longest hold [s] of samples at `time` (K,): `MAX_HOLD`, or 1.5 times their usual interval, at most 5 s."""
+    return usual_gap(time)
 
 
 def _holds(time: Array, end: float) -> tuple[Array, Array]:

@@ -68,7 +68,8 @@ def test_fixes_and_closures_beyond_the_odometry_are_left_out_and_said(table):
 
 
 @pytest.mark.parametrize(("stamps", "way", "note", "seconds"), [
-    (np.arange(0.0, 42.0, 2.0), 40.0, "", ""), (np.arange(0.0, 80.0, 8.0), 72.0, "", ""),
+    (np.arange(0.0, 42.0, 2.0), 40.0, "", ""),
+    (np.arange(0.0, 80.0, 8.0), 45.0, "9 gaps longer than 5 s, where", "assumed over 27 of 72 s"),
     ([0.0, 2.0, 4.0, 6.0, 16.0, 18.0], 11.0, "1 gap longer than 3 s, where", "assumed over 7 of 18 s"),
     ([0.0, 0.5, 1.0, 1.5, 8.0, 8.5], 3.0, "1 gap longer than 1 s, where", "assumed over 5.5 of 8.5 s"),
 ])  # fmt: skip
