@@ -734,7 +734,7 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
     fixes = _all_fixes(fixed, time) if fixed else None
     free = wanted.prior is None and true is None and {f.kind for f in fixed} == {FixKind.POSITION}
     start = onto_fixes(fixes, increments.mean, increments.covariance) if free and fixes is not None else None
-    onto = None if start is None else (Prior(start.pose, np.diag(start.sigma**2)), start.text)
+    onto = None if start is None else (Prior(start.pose, np.diag(start.sigma**2)), start.said())
     prior, note = onto or _prior(wanted, pose[0], true, fixed, first)
     recorded = Inputs(
         prior=prior, time=time - first, increments=increments, observations=observations,

@@ -261,8 +261,9 @@ def _each(rows: Sequence[Sequence[str]]) -> int:
 def _by_rows(
     rows: Sequence[Sequence[str]], at: Sequence[int], count: int, steps: int
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]], list[int]] | None:
-    """Names, rows and the row of each of observations of two or three numbers, any number of them behind the same words
-    in rows `at` some of `count`, one for each of the odometry's; None: others, or behind ascending stamps.
+    """Observations from rows that each hold any number of them, two or three numbers each, behind the same words: names
+    of columns, a row for each observation, and the row it came from. `at`: positions of the rows among `count` lines,
+    blank ones included, of which there is one for each of the odometry's `steps`. None where rows are not so.
     """
     rows = [row[: max((j + 1 for j, f in enumerate(row) if f), default=0)] for row in rows]
     longest = max(rows, key=len)
@@ -355,8 +356,8 @@ def stars(file: TextTable) -> dict[str, str]:
 
 
 def solid_stars(file: TextTable, stated: Mapping[str, str]) -> dict[str, str]:
-    """Names with a star by quantity that is stated as NAME_K of an array of three dimensions, one of which has as many
-    numbers as are stated. DataError for both, or none.
+    """Names with a star, by quantity, for quantities stated as NAME_K of an array of three dimensions: the star stands
+    for the dimension that counts landmarks. DataError where both dimensions, or none, may count them.
     """
     found = {}
     for quantity, (stem, _, k) in ((q, n.rpartition("_")) for q, n in stated.items() if n not in file.names):

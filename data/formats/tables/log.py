@@ -229,7 +229,7 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
 
 
 def _rows_a_step(file: TextTable, of: TableSensor, wanted: Wanted, poses: int) -> tuple[int, int]:
-    """How many observations without stamp or frame each step has, or each pose, and how many of these there are; 0."""
+    """Of observations without stamp and frame: how many each step (or pose) has, and the number of steps; else 0, 0."""
     own = [*wanted.texts.values()].count(file) == 1
     c, *more = (wanted.columns.find(file, of.role, q) for q in (of.measured[0], "t", "frame", of.measured[-1]))
     rows = max((k + 1 for k, row in enumerate(file.rows) if row[c or 0]), default=1)
@@ -242,8 +242,8 @@ def _rows_a_step(file: TextTable, of: TableSensor, wanted: Wanted, poses: int) -
 
 
 def _landmarks_in_turn(seen: Array, of: TableSensor, wanted: Wanted) -> tuple[IntArray, str]:
-    """The landmark of each observation, in the order of the map, or always the same ones, of points `seen` (K, n, 2)
-    from K poses, if distances from each to the next say so, and what says so; else none.
+    """Ids (n,) of the landmarks that K poses observe in the same order, at points `seen` (K, n, 2), and a note on why.
+    The order is that of the map, or constant, if distances between successive landmarks agree. Else no ids.
     """
     texts, apart = wanted.texts, np.hypot(*np.moveaxis(seen - np.roll(seen, 1, axis=1), -1, 0))
     known = _map(texts["map"], replace(wanted, columns=wanted.columns.quiet)) if "map" in texts else None
@@ -687,9 +687,9 @@ def _prior(
     free = wanted.prior is None and pose is None and known is None
     start = onto_fixes(fixes, moved.mean, moved.covariance) if free and fixes is not None else None
     if start is not None and fixes is not None and _agree(fixes, moved, start.pose):
-        fits, text = way_share(moved, *fixes.placed) is None, start.text
+        fits = way_share(moved, *fixes.placed) is None
         wanted.columns.origins["prior"] = Origin.INFERRED if fits else Origin.ASSUMED
-        wanted.columns.notes.append(text if fits else text.replace("inferred", "assumed").partition(", which")[0])
+        wanted.columns.notes.append(start.said(fits=fits))
         return Prior(start.pose, np.diag(start.sigma**2))
     if wanted.prior is None:
         if pose is not None or known is not None or fixes is not None:
