@@ -54,10 +54,8 @@ def closures_of(
     ends = zip(closures.frame1.tolist(), closures.frame2.tolist(), closures.relative, closures.covariance, strict=True)
     return [
         pose_measurements.closure_of(relative, C, place[first], place[second], size)
-        if first in place and second in place
-        else None
-        for first, second, relative, C in ends
-    ]
+        if first in place and second in place else None for first, second, relative, C in ends
+    ]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -82,11 +80,9 @@ class PoseFactor:
 
 
 def fix_factors(
-    frames: list[int],
-    fixes: pose_measurements.Fixes,
-    sources: tuple[pose_measurements.FixSource, ...],
+    frames: list[int], fixes: pose_measurements.Fixes, sources: tuple[pose_measurements.FixSource, ...],
     loss: str = "gaussian",
-) -> list[PoseFactor]:
+) -> list[PoseFactor]:  # fmt: skip
     """Fixes (f) of frames (f,). Raises DataError for a singular covariance."""
     found = []
     for i, (frame, kind) in enumerate(zip(frames, fixes.kind.tolist(), strict=True)):

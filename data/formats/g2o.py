@@ -323,11 +323,9 @@ def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
 
 
 def written(
-    poses: tuple[Sequence[int], Array],
-    points: tuple[Sequence[int], Array],
-    fixed: Iterable[int],
+    poses: tuple[Sequence[int], Array], points: tuple[Sequence[int], Array], fixed: Iterable[int],
     edges: Iterable[tuple[str, int, int, Array, Array]],
-) -> str:
+) -> str:  # fmt: skip
     """Text of a graph: poses and points by id, fixed ids, edges (tag, id, id, measured (d,), covariance (d, d)); that
     of an EDGE_SE2 is of the additive error in the frame of its start.
     """

@@ -327,11 +327,9 @@ def _of_hdf5(file: Any, item: Any) -> Value:
         size, fields = _described(item)
         # elements are stored in MATLAB's order, columns first
         columns = [
-            [_of_hdf5(file, file[reference]) for reference in item[name][()].ravel()]
-            if _is_listed(item[name])
-            else [_of_hdf5(file, item[name])]
-            for name in fields
-        ]
+            [_of_hdf5(file, file[reference]) for reference in item[name][()].ravel()] if _is_listed(item[name])
+            else [_of_hdf5(file, item[name])] for name in fields
+        ]  # fmt: skip
         found = [dict(zip(fields, row, strict=True)) for row in zip(*columns, strict=True)]
         return found[0] if size == 1 and found else found
     kind, content = _class(item), item[()]

@@ -743,7 +743,7 @@ def contradictions(log: Log) -> list[Notice]:
 
 def _of_rows(r: Reading, log: Log) -> Reading:
     """Velocities that are as many times as large as a row is long [s]: motions of a row."""
-    period = float(cast("float", log.source.get(ODOMETRY_PERIOD, math.inf)))
+    period = float(cast("float", log.source.get(ODOMETRY_PERIOD, math.nan)))
     near = r.kind == Kind.SCALE and r.of == "v and omega" and abs(math.log(r.number / period)) < ROW
     return replace(r, kind=Kind.SUMMED, unit="row", number=period) if near else r
 

@@ -75,12 +75,9 @@ def _place() -> None:
 
 
 PARTS: dict[str, Callable[[], None]] = {
-    "estimators": _estimators,
-    "association": _methods,
-    "hindsight": _hindsight,
-    "place recognition": _place,
+    "estimators": _estimators, "association": _methods, "hindsight": _hindsight, "place recognition": _place,
     **{name: partial(lambda part: used(part)(), part) for wing in wings() for name, part in wing.kernels.items()},
-}
+}  # fmt: skip
 """Parts to compile, in order."""
 
 

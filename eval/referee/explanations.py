@@ -45,14 +45,12 @@ WHOLE = {"odometry": COMPONENTS[:3], "z": COMPONENTS[3:]}  # components with one
 SCALE, TAILS = "sigma z", "tails readings"
 ALIKE_WHEELS = "odometry_scale"
 VECTORS: Mapping[str, tuple[tuple[str, ...], ...]] = {
-    "mount": (("mount_x",), ("mount_y",)),
-    "bias": (("z1_constant",), ("z2_constant",)),
+    "mount": (("mount_x",), ("mount_y",)), "bias": (("z1_constant",), ("z2_constant",)),
     ALIKE_WHEELS: (("odometry_x_distance", "odometry_theta_turn"),),
     "odometry_wheels": (("odometry_x_distance", "odometry_theta_turn"), ("odometry_theta_distance",)),
-    "odometry_current": (("odometry_current_x",), ("odometry_current_y",)),
-    "lever": (("lever_x",), ("lever_y",)),
+    "odometry_current": (("odometry_current_x",), ("odometry_current_y",)), "lever": (("lever_x",), ("lever_y",)),
     "offset": (("x",), ("y",)),
-}
+}  # fmt: skip
 """Systematic errors that one cause makes together; those of one column have one size. Wheels that are smaller than
 stated, both alike (`odometry_scale`) or not, overstate ways and turns; two that differ curve."""
 LENGTHS_OF = ("mount", "lever", "offset", "odometry_current")  # vectors with one length
@@ -237,15 +235,10 @@ def _ties(best: Explanation, found: Sequence[Explanation], scored: Scored) -> tu
     """Systematic errors that explain the same as well: they gain next to nothing beside the best one."""
     beside = Scored(scored.names, scored.score.given(np.array(best.effects, np.int64)))
     return tuple(
-        x.finding.name
-        for x in found
-        if x is not best
-        and x.finding.kind == "systematic"
-        and x.net > best.net - ALIKE
-        and best.finding.said not in x.contains
-        and x.finding.said not in best.contains
+        x.finding.name for x in found if x is not best and x.finding.kind == "systematic" and x.net > best.net - ALIKE
+        and best.finding.said not in x.contains and x.finding.said not in best.contains
         and _gain(beside, np.array(x.effects)) < SAME * x.finding.gain
-    )
+    )  # fmt: skip
 
 
 def _largest(values: Array, apart: int) -> list[int]:

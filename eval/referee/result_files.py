@@ -128,62 +128,47 @@ ESTIMATED = tuple(
 OPTIONAL = tuple(c.name for c in ESTIMATED)
 ONLINE = File(
     f"{RUN_FOLDER}/online.csv",
-    "Path with each pose estimated from the data up to its frame. One row per frame; not for batch smoothers.",
-    (
-        *PATH,
-        Column("log_likelihood", "log-likelihood of the innovations used in the frame"),
-        count("state_size", "length of the state vector after the frame"),
-        *ESTIMATED,
-    ),
-    OPTIONAL,
-)
+    "Path with each pose estimated from the data up to its frame. One row per frame; not for batch smoothers.", (
+        *PATH, Column("log_likelihood", "log-likelihood of the innovations used in the frame"),
+        count("state_size", "length of the state vector after the frame"), *ESTIMATED,
+    ), OPTIONAL,
+)  # fmt: skip
 FROM_ALL = "Path estimated from all data. One row per frame; not for filters."
 FINAL = File(f"{RUN_FOLDER}/final.csv", FROM_ALL, (*PATH, *ESTIMATED), OPTIONAL)
 LANDMARKS = File(
     f"{RUN_FOLDER}/landmarks.csv",
-    "The last map of SLAM, or an uncertain map as estimated. For walls x and y are rho [m] and alpha [rad].",
-    (
-        count("landmark", "landmark number, never reused"),
-        *POSITION,
+    "The last map of SLAM, or an uncertain map as estimated. For walls x and y are rho [m] and alpha [rad].", (
+        count("landmark", "landmark number, never reused"), *POSITION,
         *covariance("xy", "covariance of the position error"),
         count("true_id", "true id of its first observation; -1: clutter"),
         count("first_frame", "frame of its initialization"),
         count("times_seen", "observations paired with it, the first included"),
-        count(
-            "ambiguous", "nearest landmark that may be the same one (no common frame, difference inside the 99 % gate)"
-        ),
+        count("ambiguous",
+              "nearest landmark that may be the same one (no common frame, difference inside the 99 % gate)"),
         count("until", "frame of its last observation, if it left the world before the end (`jcbb-hindsight`)"),
     ),
-)
+)  # fmt: skip
 DECISIONS = File(
     f"{RUN_FOLDER}/decisions.csv",
-    "Association decisions, one row per observation; not for dead reckoning and laser logs.",
-    (
-        count("frame", "frame of the observation"),
-        count("observation", "index within the frame, from 0"),
-        count("decision", "online decision"),
-        count("truth", "right landmark at that frame"),
+    "Association decisions, one row per observation; not for dead reckoning and laser logs.", (
+        count("frame", "frame of the observation"), count("observation", "index within the frame, from 0"),
+        count("decision", "online decision"), count("truth", "right landmark at that frame"),
         text("outcome", "`tp`, `tn`, `fp` or `fn` of the online decision"),
         count("final_decision", "decision after all revisions"),
         text("final_outcome", "its outcome against the remaining landmarks"),
         count("begins", "landmark that it initializes after all revisions, -1 for none"),
     ),
-)
+)  # fmt: skip
 LOOPS = File(
-    f"{LOG_FOLDER}/loops.csv",
-    "All loop closures tested.",
-    (
-        count("key1", "earlier key pose"),
-        count("key2", "later key pose"),
+    f"{LOG_FOLDER}/loops.csv", "All loop closures tested.", (
+        count("key1", "earlier key pose"), count("key2", "later key pose"),
         *(Column(name, "position of key2 in the body frame of key1", "m") for name in ("dx", "dy")),
         Column("dtheta", "heading of key2 relative to key1", "rad"),
         *covariance("xyt", "covariance of this relative pose"),
-        Column("score", "share of the scan that the match explains"),
-        count("accepted", "1: added to the graph"),
+        Column("score", "share of the scan that the match explains"), count("accepted", "1: added to the graph"),
         count("final", "1: kept its weight to the end"),
-    ),
-    when="laser logs with matched scans",
-)
+    ), when="laser logs with matched scans",
+)  # fmt: skip
 LASER = "laser logs; final phase of isam2, else the first estimator"
 LAB_TEXT = File(
     f"{RUN_FOLDER}/lab.txt",
@@ -191,13 +176,10 @@ LAB_TEXT = File(
     when="`--lab-text`",
 )
 OF_RUNS = (
-    ONLINE,
-    FINAL,
+    ONLINE, FINAL,
     File(f"{RUN_FOLDER}/<phase>.tum", "The path as lines `t x y z qx qy qz qw`; frames without a pose are left out."),
-    LANDMARKS,
-    DECISIONS,
-    LAB_TEXT,
-)
+    LANDMARKS, DECISIONS, LAB_TEXT,
+)  # fmt: skip
 OF_LOGS = (
     File(f"{LOG_FOLDER}/truth.tum", "The true path in the same format.", when="logs with true poses"),
     LOOPS,
@@ -208,20 +190,17 @@ OF_LOGS = (
 )
 TEAM = File(
     "tables/team-<team>-<task>.csv",
-    "Robots of a team, one row per robot, exchange, estimator, association and phase.",
-    (
+    "Robots of a team, one row per robot, exchange, estimator, association and phase.", (
         count("robot", "number of the robot"),
         text("exchange", "`joint`, `naive`, `intersection`, `alone`; `none`: dead reckoning"),
         *(text(name, "as in `metrics.csv`") for name in ("estimator", "association", "phase", "status")),
         Column("rmse_position_m", "position RMSE without alignment", "m"),
         Column("nees_pose", "mean pose NEES (expected 3)"),
         count("robots_tp", "observations of robots paired with the right robot"),
-        count("robots_tn", "unpaired, and of no robot of the team"),
-        count("robots_fp", "paired with a wrong robot"),
+        count("robots_tn", "unpaired, and of no robot of the team"), count("robots_fp", "paired with a wrong robot"),
         count("robots_fn", "unpaired, but of a robot of the team"),
-    ),
-    when="`--cooperative`",
-)
+    ), when="`--cooperative`",
+)  # fmt: skip
 OTHERS = (
     File("report.<type>", "The report as `html` and `md`; `json` has its facts as numbers, names and codes."),
     File("details/<page>.html", "Details that report.html leaves out, one page per subject."),
@@ -255,16 +234,12 @@ RUN = (*WHO, PHASE)
 METRICS = File(
     "metrics.csv",
     "Accuracy and consistency, one row per run and phase; filters have no `final` row, batch smoothers no"
-    " `online` row. docs/results-files.md defines the relative errors.",
-    (
-        *RUN,
-        text(
-            "status",
-            "`ok`; `diverged`, `incomplete`: no numbers; `implausible`: physically impossible numbers, in no average",
-        ),
+    " `online` row. docs/results-files.md defines the relative errors.", (
+        *RUN, text("status", "`ok`; `diverged`, `incomplete`: no numbers; `implausible`: physically impossible"
+                   " numbers, in no average"),
         *(measured(m) for m in OF_ESTIMATES),
     ),
-)
+)  # fmt: skip
 DECISION_COUNTS = File(
     "association.csv",
     "Outcomes of association decisions, one row per run and phase; on laser logs of loop closures.",
@@ -324,11 +299,9 @@ SOURCES = File(
     when="logs with fixes or closures",
 )  # fmt: skip
 SPACE = File(
-    "space.csv",
-    "[Scores in 3-D](notes/results-files.md), a row per quantity.",
-    (*WHO, PHASE, text("quantity", "name"), Column("value", "value")),
-    when="results in 3-D",
-)
+    "space.csv", "[Scores in 3-D](notes/results-files.md), a row per quantity.",
+    (*WHO, PHASE, text("quantity", "name"), Column("value", "value")), when="results in 3-D",
+)  # fmt: skip
 PUBLISHED = File(
     "published.csv", "Comparison with published numbers.", (
         text("scenario", "name of the study"), ESTIMATOR, text("quantity", "compared quantity"),
@@ -339,15 +312,12 @@ PUBLISHED = File(
     when="scenarios with published numbers",
 )  # fmt: skip
 TIMING = File(
-    "timing.csv",
-    "Run times of the estimators; they differ from run to run.",
-    (
-        *WHO,
-        count("frames", "frames of the log"),
+    "timing.csv", "Run times of the estimators; they differ from run to run.", (
+        *WHO, count("frames", "frames of the log"),
         Column("seconds", "wall time of the estimation, laser front end included", "s"),
         Column("frames_per_second", "frames / seconds", "1/s"),
     ),
-)
+)  # fmt: skip
 DIFFERENCES = File(
     "slamref.score(...).differences", "Filter minus smoother under the same association method, for logs with truth.", (
         LOG, TASK, ASSOCIATION, text("a", "the filter"), text("b", "the smoother"),

@@ -96,15 +96,12 @@ def trust_frame(trust: Trust, *, terms: causes.Terms) -> pd.DataFrame:
         low, middle, high = np.quantile(drawn, [0.05, 0.5, 0.95]).tolist() if len(drawn) else (math.nan,) * 3
         value = factor * row.measured.value
         cells = {
-            "estimator": row.estimator,
-            "statistic": text,
+            "estimator": row.estimator, "statistic": text,
             "value": plus_minus(value, factor * row.measured.se) if math.isfinite(value) else None,
-            "expected": _text(factor * row.measured.expected),
-            "twins' median": _text(middle),
-            "twins, 5 to 95 %": f"{_text(low)} to {_text(high)}" if len(drawn) else None,
-            "p": _text(row.p, 2),
+            "expected": _text(factor * row.measured.expected), "twins' median": _text(middle),
+            "twins, 5 to 95 %": f"{_text(low)} to {_text(high)}" if len(drawn) else None, "p": _text(row.p, 2),
             "family-wise p": _text(row.p_family, 2),
-        }
+        }  # fmt: skip
         made.append(cells)
     return drop_blank_columns(pd.DataFrame(made, dtype=object))
 

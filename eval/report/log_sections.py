@@ -36,12 +36,9 @@ def outcome(compared: Comparison) -> str:
     there = compared.pair
     cases = {
         "failed": any(r.status not in ("ok", IMPLAUSIBLE) for r in there),
-        "implausible": any(r.status == IMPLAUSIBLE for r in there),
-        "none ran": not there,
-        "one ran": len(there) == 1,
-        "lost": any(r.lost_why for r in there),
-        "no truth": not all(math.isfinite(r.rmse) for r in there),
-    }
+        "implausible": any(r.status == IMPLAUSIBLE for r in there), "none ran": not there, "one ran": len(there) == 1,
+        "lost": any(r.lost_why for r in there), "no truth": not all(math.isfinite(r.rmse) for r in there),
+    }  # fmt: skip
     return next((name for name, applies in cases.items() if applies), "compared")
 
 

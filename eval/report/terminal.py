@@ -118,14 +118,11 @@ def trust_line(j: Judgement) -> str:
 def _cells(row: RunJudgement, differ: bool) -> Line:
     related, phased = _related(row), row.phase and not row.estimator.startswith("dead-reckoning")
     return (
-        f"{row.estimator}, {row.phase}" if phased else row.estimator,
-        row.association,
-        _number(row.related if related else row.rmse) + (" rel" if related else ""),
-        _number(row.nees),
-        _number(row.nis) + (f" ({row.nis_expected:.2f})" if differ and math.isfinite(row.nis) else ""),
-        row.verdict,
+        f"{row.estimator}, {row.phase}" if phased else row.estimator, row.association,
+        _number(row.related if related else row.rmse) + (" rel" if related else ""), _number(row.nees),
+        _number(row.nis) + (f" ({row.nis_expected:.2f})" if differ and math.isfinite(row.nis) else ""), row.verdict,
         "" if row.counts is None else f"{row.counts.fp} of {row.counts.pairings}",
-    )
+    )  # fmt: skip
 
 
 def _table(rows: Sequence[Sequence[str]]) -> list[str]:

@@ -50,16 +50,14 @@ def write_results(
     trials, output = outcome.trials, options.output
     lost = Unfinished(options.execution.jobs, messages=list(outcome.missing))
     tables = {
-        result_files.METRICS: scores.metrics,
-        result_files.DECISION_COUNTS: scores.association,
-        result_files.TIMING: scores.timing,
-        result_files.CONSISTENCY: consistency_table(judged),
+        result_files.METRICS: scores.metrics, result_files.DECISION_COUNTS: scores.association,
+        result_files.TIMING: scores.timing, result_files.CONSISTENCY: consistency_table(judged),
         result_files.TRUST: trust_table(outcome.trust),
         result_files.RELATIONS: scores.relations if len(scores.relations) else None,
         result_files.SOURCES: scores.sources if len(scores.sources) else None,
         result_files.SPACE: result_files.SPACE.table(rows) if (rows := space_rows(trials)) else None,
         result_files.PUBLISHED: result_files.PUBLISHED.table(outcome.published) if outcome.published else None,
-    }
+    }  # fmt: skip
     for file, table in tables.items():
         if table is not None:
             file.write(table, folder)

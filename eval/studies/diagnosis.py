@@ -196,12 +196,9 @@ def _indicated(inputs: Inputs, smoother: Run, measured: Mapping[Key, Statistic])
     e = explanations.evidence_of(inputs, _path(smoother), residuals.used_by(smoother, inputs))
     without = noiseless(inputs)
     found = [
-        (x.net, x.finding)
-        for x in explanations.explanations(e, [])
-        if x.net > explanations.ALIKE
-        and x.finding.name not in without
-        and not (x.finding.said == "sigma odometry" and without)
-    ]
+        (x.net, x.finding) for x in explanations.explanations(e, []) if x.net > explanations.ALIKE
+        and x.finding.name not in without and not (x.finding.said == "sigma odometry" and without)
+    ]  # fmt: skip
     if not found:
         return None
     best = max(_leading(found), key=lambda x: x[0])[1]
@@ -599,10 +596,7 @@ def trust_table(all_trust: Sequence[Trust]) -> pd.DataFrame:
             m = r.measured
             who = {"log": t.log, "task": t.task, "estimator": r.estimator, "association": t.association}
             statistic = {
-                "statistic": r.statistic,
-                "value": m.value,
-                "se": m.se,
-                "frame": m.frame if m.frame >= 0 else None,
-            }
+                "statistic": r.statistic, "value": m.value, "se": m.se, "frame": m.frame if m.frame >= 0 else None,
+            }  # fmt: skip
             rows.append(who | statistic | {"expected": r.expected, "twins": r.twins, "p": r.p, "p_family": r.p_family})
     return TRUST.table(rows)

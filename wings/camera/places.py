@@ -282,11 +282,9 @@ def closures_of(found: Sequence[Candidate], keys: Sequence[KeyFrame], increments
     kept = list[Candidate]()
     for one in (best[k] for k in sorted(best)):
         apart = [
-            _apart(one, other, increments)
-            for other in sure
-            if other is not one
+            _apart(one, other, increments) for other in sure if other is not one
             and all(abs(row[a] - row[b]) <= NEIGHBOURS for a, b in zip(one[:2], other[:2], strict=True))
-        ]
+        ]  # fmt: skip
         if 2 * sum(apart) < len(apart):
             kept.append(one)
     if not kept:

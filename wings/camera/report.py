@@ -144,13 +144,11 @@ def statistics_of(evidence: Evidence) -> pd.DataFrame:
             off = [np.linalg.norm(found.pixels[d] - truth.pixels[k], axis=1) for d, k in pairs]
             wrong = int((own & (shown != p) & ((shown >= 0) | np.isin(found.frame, list(at)))).sum())
             row |= {
-                "frames in view": len(at),
-                "of these found": len(pairs),
-                "recall [%]": 100.0 * len(pairs) / len(at) if at else None,
-                "wrong": wrong,
+                "frames in view": len(at), "of these found": len(pairs),
+                "recall [%]": 100.0 * len(pairs) / len(at) if at else None, "wrong": wrong,
                 "not judged": int(own.sum()) - len(pairs) - wrong,
                 "corner error, median [px]": float(np.median(off)) if off else None,
-            }
+            }  # fmt: skip
         rows.append(row | {f"not found: {reason}": refused.get(reason, 0) for reason in found.rejected})
     return pd.DataFrame(rows, dtype=object)
 

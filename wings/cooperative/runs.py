@@ -48,13 +48,9 @@ def lack(name: str, task: str, association: str, exchange: str) -> str:
 
 
 def team_runs(
-    inputs: Inputs,
-    task: str,
-    estimators: Sequence[str],
-    association: str,
-    setup: Setup,
+    inputs: Inputs, task: str, estimators: Sequence[str], association: str, setup: Setup,
     judge: Callable[[Sequence[Run], Inputs], list[Run]],
-) -> list[Run] | None:
+) -> list[Run] | None:  # fmt: skip
     """The runs of one robot; None of inputs without a team, or of a robot that is alone."""
     if not isinstance(inputs, TeamInputs) or inputs.team is None or inputs.exchange == "alone":
         return None

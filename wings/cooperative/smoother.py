@@ -42,13 +42,9 @@ class TeamSmoothed(NamedTuple):
 
 
 def smooth_team(
-    team: Team,
-    known: LandmarkMap | None,
-    landmark: Sequence[IntArray],
-    sighted: Sequence[IntArray],
-    start: Sequence[Array],
-    places: dict[int, Array],
-) -> TeamSmoothed:
+    team: Team, known: LandmarkMap | None, landmark: Sequence[IntArray], sighted: Sequence[IntArray],
+    start: Sequence[Array], places: dict[int, Array],
+) -> TeamSmoothed:  # fmt: skip
     """The joint maximum a posteriori estimate.
 
     Args:

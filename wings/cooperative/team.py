@@ -66,14 +66,9 @@ class Team:
 
 
 def team_of(
-    number: Sequence[int],
-    members: Sequence[Inputs],
-    labels: Sequence[IntArray],
-    clocks: Sequence[float],
-    seen: Sequence[tuple[IntArray, Array, Array, IntArray]],
-    *,
-    sensed: bool = False,
-) -> Team:
+    number: Sequence[int], members: Sequence[Inputs], labels: Sequence[IntArray], clocks: Sequence[float],
+    seen: Sequence[tuple[IntArray, Array, Array, IntArray]], *, sensed: bool = False,
+) -> Team:  # fmt: skip
     """A team from robots whose times begin at `clocks` (n,) [s]; `seen`: of each its frames with encounters (s,), z
     (s, 2), R (s, 2, 2) and labels (s,). Times that agree to a microsecond are one instant.
     """

@@ -353,22 +353,17 @@ class Case(NamedTuple):
 
 COMPARED = ("known", "nn", "singles", FIRST)
 CASES = (
-    *(Case(m, *ODOMETRY) for m in COMPARED),
-    *(Case(m, *PEOPLE) for m in COMPARED),
-    Case(FIRST, *PEOPLE, maintained=True),
-    *(Case(m, *BLIND) for m in ("known", FIRST)),
-)
+    *(Case(m, *ODOMETRY) for m in COMPARED), *(Case(m, *PEOPLE) for m in COMPARED),
+    Case(FIRST, *PEOPLE, maintained=True), *(Case(m, *BLIND) for m in ("known", FIRST)),
+)  # fmt: skip
 CLAIMS = {
-    "nn": (("RMSE [m]", Case("nn"), Case("known")),),
-    "singles": (("RMSE [m]", Case("nn"), Case("singles")),),
+    "nn": (("RMSE [m]", Case("nn"), Case("known")),), "singles": (("RMSE [m]", Case("nn"), Case("singles")),),
     "people": (("RMSE [m]", Case("nn", *PEOPLE), Case("nn")), ("RMSE [m]", Case("singles", *PEOPLE), Case("singles"))),
-    "jcbb": (
-        ("FP", Case("nn", *PEOPLE), Case(FIRST, *PEOPLE)),
-        ("RMSE [m]", Case("nn", *PEOPLE), Case(FIRST, *PEOPLE)),
-    ),
+    "jcbb": (("FP", Case("nn", *PEOPLE), Case(FIRST, *PEOPLE)),
+    ("RMSE [m]", Case("nn", *PEOPLE), Case(FIRST, *PEOPLE))),
     "blind": (("RMSE [m]", Case(FIRST, *BLIND), Case(FIRST)),),
     "maintenance": tuple((c, Case(FIRST, *PEOPLE), Case(FIRST, *PEOPLE, maintained=True)) for c in ("FP", "RMSE [m]")),
-}
+}  # fmt: skip
 """For each question what is expected to be larger than what."""
 
 

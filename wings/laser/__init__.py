@@ -3,11 +3,9 @@
 from data.wing import Recording, Wing, World
 
 FLOORPLAN = World(
-    "wings.laser.floorplan.world",
-    "Floorplan",
-    "floorplan:0 or floorplan:0:people+glass+thin=5",
+    "wings.laser.floorplan.world", "Floorplan", "floorplan:0 or floorplan:0:people+glass+thin=5",
     "rooms and corridors seen by a laser scanner, simulated",
-)
+)  # fmt: skip
 CARMEN = Recording(
     "wings.laser.carmen:is_carmen_file", "wings.laser.carmen:open_carmen", "carmen", "a CARMEN log",
     found="wings.laser.carmen:carmen_logs",

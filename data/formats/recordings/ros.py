@@ -144,7 +144,7 @@ class Tree:
 
     def between(self, target: str, source: str, time: Array) -> tuple[Array, Array] | None:
         """Rotations (n, 3, 3) and translations (n, 3) of the source's frame in the target's at times; None: unknown."""
-        up, down = self._ancestors(target), self._ancestors(source)
+        up, down = self.ancestors(target), self.ancestors(source)
         common = next((name for name in up if name in down), None)
         if common is None:
             return None
@@ -154,9 +154,10 @@ class Tree:
 
     def carries(self, body: str, frame: str) -> bool:
         """Whether a frame is mounted on a body, or is the body itself."""
-        return bare(body) in self._ancestors(frame)
+        return bare(body) in self.ancestors(frame)
 
-    def _ancestors(self, name: str) -> list[str]:
+    def ancestors(self, name: str) -> list[str]:
+        """The frame, its parent, and so on."""
         chain = [bare(name)]
         while chain[-1] in self.moving and self.moving[chain[-1]].parent not in chain:
             chain.append(self.moving[chain[-1]].parent)

@@ -90,12 +90,10 @@ def load_course(path: Path, name: str, world: Path | None, turns: ArrayLike, see
     R = np.broadcast_to(np.diag(np.square(seen_sigma)), (len(seen), 2, 2)).copy()
     log = _log(name, mean, P, Observations(frame, z, R), RangeBearing)
     return replace(
-        log,
-        recorded=replace(log.recorded, map=None if world is None else _map(world)),
-        truth=Truth(landmark_of=_known(seen.integers("id", -1))),
-        source={"kind": "course", **source_file(path)},
+        log, recorded=replace(log.recorded, map=None if world is None else _map(world)),
+        truth=Truth(landmark_of=_known(seen.integers("id", -1))), source={"kind": "course", **source_file(path)},
         notes=(f"Left out: {counted(left_out, 'observation')} with a negative range.",) * (left_out > 0),
-    )
+    )  # fmt: skip
 
 
 def _map(path: Path) -> LandmarkMap:

@@ -1,10 +1,11 @@
 """Poses of a ROS bag, with frames and transforms.
 
 `PoseWithCovarianceStamped` and `Odometry` have a 6x6 covariance, row by row, about fixed axes of the header's frame:
-`world` here. All zeros, NaN, or -1 first, mean unknown. `PoseStamped`, `TransformStamped` and the last `Path` have
+`world` here. All zeros, NaN, or -1 first, mean unknown. `PoseStamped`, `TransformStamped`, the last `Path` and tf have
 none.
 """
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,8 +33,8 @@ def is_bag(path: Path) -> bool:
 
 def file_and_topic(name: str) -> tuple[Path, str | None]:
     """The bag and the topic that `FILE:TOPIC` names; of any other name the path and None, as files may hold a colon."""
-    file, colon, topic = name.rpartition(":")
-    return (Path(file), topic) if colon and not Path(name).exists() and is_bag(Path(file)) else (Path(name), None)
+    cuts = [m.start() for m in re.finditer(":", name)] if not Path(name).exists() else []
+    return next(((Path(name[:k]), name[k + 1 :]) for k in cuts if is_bag(Path(name[:k]))), (Path(name), None))
 
 
 def read_bag(path: Path, topic: str | None, manner: Manner) -> GivenPath:
@@ -41,8 +42,9 @@ def read_bag(path: Path, topic: str | None, manner: Manner) -> GivenPath:
     tree, rows, frames, unstamped = Tree(), list[list[float]](), set[tuple[str, str]](), 0
     with opened(path, frozenset(KINDS)) as reader:
         kinds = {c.topic: c.msgtype for c in reader.connections if c.msgtype in KINDS}
-        topic = _topic(path, kinds, topic)
-        tf = (TRANSFORMS, OLD_TRANSFORMS)
+        tf, (name, _, pair) = (TRANSFORMS, OLD_TRANSFORMS), (topic or "").partition(":")
+        of_tf = name.strip("/") == "tf" or (not kinds and topic is None)
+        topic = (topic or "/tf") if of_tf else _topic(path, kinds, topic)
         wanted = [c for c in reader.connections if c.topic == topic or c.msgtype in tf]
         for c, recorded, raw in reader.messages(wanted):
             message = reader.deserialize(raw, c.msgtype)
@@ -56,6 +58,8 @@ def read_bag(path: Path, topic: str | None, manner: Manner) -> GivenPath:
                 rows.append(_row(message, 1e-9 * recorded))
                 frames.add((message.header.frame_id, getattr(message, "child_frame_id", "")))
     file = f"{path}:{topic}"
+    if of_tf:
+        return replace(on_plane(_of_tf(path, tree, pair), manner), transforms=tree)
     if not rows:
         raise DataError.at(file, "no message; at least one is needed")
     if len(frames) > 1:
@@ -65,6 +69,24 @@ def read_bag(path: Path, topic: str | None, manner: Manner) -> GivenPath:
     ((world, body),) = frames
     found = _spatial(file, kinds[topic], np.array(rows), Stated(world, body, order=True), (told,) * bool(unstamped))
     return replace(on_plane(found, manner), transforms=tree if tree.moving else None)
+
+
+def _of_tf(path: Path, tree: Tree, pair: str) -> Spatial:
+    """Poses of a frame in another one, `PARENT.CHILD`, or of the only moving one, at the stamps of what moves it."""
+    moving = [f"{of.parent}.{child}" for child, of in tree.moving.items() if of.moves]
+    parent, _, child = (moving[0] if len(moving) == 1 and not pair else pair).partition(".")
+    chain = tree.ancestors(child)
+    by = next((tree.moving[name] for name in chain if name in tree.moving and tree.moving[name].moves), None)
+    stamp = np.unique(by.stamp if by else [])
+    if (found := tree.between(parent, child, stamp)) is None or by is None:
+        there = ", ".join(sorted(moving)) or "none"
+        raise UsageError(f"{path}: which transform? {path}:/tf:PARENT.CHILD is needed; moving ones: {there}")
+    stated, name, (R, p) = Stated(parent, child, order=True), f"{path}:/tf:{parent}.{child}", found
+
+    def place(k: int) -> str:
+        return f"{name}: {stamp[k]:.6f} s"
+
+    return Spatial(name, TRANSFORMS, stamp, p, R, None, WORLD, place, stated, (), Clock("s", STATED))
 
 
 def _topic(path: Path, kinds: dict[str, str], topic: str | None) -> str:
@@ -78,7 +100,7 @@ def _topic(path: Path, kinds: dict[str, str], topic: str | None) -> str:
         return only[0]
     same = [t for t in kinds if t.strip("/") == topic.strip("/")]  # old bags hold names without a slash
     if not same:
-        raise UsageError(f"{path}: no poses on {topic}; such topics: {there}")
+        raise UsageError(f"{path}: no poses on {topic}; such topics: {there}, or a transform: {path}:/tf")
     return same[0]
 
 

@@ -381,7 +381,7 @@ INSTANTS = {*STAMPS, "frame", "frame1"}
 QUANTITIES = {
     **dict.fromkeys((*STAMPS, "dt"), "time"), **dict.fromkeys(("x", "y", "dx", "dy", "range", "sx", "sy"), "length"),
     **dict.fromkeys(("theta", "dtheta", "bearing", "stheta", "steering", "lat", "lon"), "angle"),
-    "v": "length/time", "omega": "angle/time",
+    "v": "length/time", "vy": "length/time", "omega": "angle/time",
     **dict.fromkeys(("left", "right", "frame", "id", "true_id", "label", "qx", "qy", "qz", "qw"), ""),
     **dict.fromkeys(("frame1", "frame2", "source", "descriptor", "class", "kind"), ""),
 }  # fmt: skip

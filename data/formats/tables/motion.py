@@ -27,11 +27,11 @@ from data.terminal import counted
 
 KINDS = {
     "velocities": ("v", "omega"), "poses": ("x", "y", "theta"), "steps": ("dx", "dy", "dtheta"),
-    "ticks": ("left", "right"), "car": ("v", "steering"),
+    "ticks": ("left", "right"), "car": ("v", "steering"), "sideways": ("v", "vy", "omega"),
 }  # fmt: skip
 """Columns of each kind of odometry; steps are the motion since the row before, in the body frame there, and may lack
-dy; a car has speeds of its rear axle and angles of its front wheels."""
-STAMPED = ("velocities", "car")  # Kinds that need stamps
+dy; a car has speeds of its rear axle and angles of its front wheels. vy, to the left, is read where it is stated."""
+STAMPED = ("velocities", "car")  # Kinds that need stamps, and whose noise is of velocities
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,9 @@ class Odometry:
 def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | None = None) -> str:
     """The only kind of odometry whose columns a file has, v and omega before poses; DataError for none or several."""
     pose = {"poses": pose_columns(file, columns, role), "steps": ("dx", "dtheta")}
-    found = [k for k, qs in KINDS.items() if columns.has(file, role, pose.get(k, qs))]
+    if columns.stated(role, ("vy",)) or "vy" in columns.given:
+        return "sideways"
+    found = [k for k, qs in KINDS.items() if k != "sideways" and columns.has(file, role, pose.get(k, qs))]
     stated = [k for k in found if columns.stated(role, KINDS[k])]
     if len(found) > 1 and not stated and columns.taken(file, role, ("x", "y"), truth):
         found.remove("poses")
@@ -144,11 +146,12 @@ def read_odometry(
     if kind == "steps" and columns.find(file, role, "dy") is None:
         columns.notes.append(f"{file.path.name}: assumed: steps have no dy, so the robot moves ahead alone")
         quantities = ("dx", "dtheta")
-    if kind in STAMPED:
+    moved = kind in (*STAMPED, "sideways")
+    if moved:
         _intervals(file, columns, role)
     stamped, period = columns.find(file, role, "t") is not None, columns.period
-    summed = not stamped and period is None and kind in STAMPED and columns.find(file, role, "dt") is not None
-    if not stamped and not summed and kind in STAMPED and period is None:
+    summed = not stamped and period is None and moved and columns.find(file, role, "dt") is not None
+    if not stamped and not summed and moved and period is None:
         columns.require(file, role, ("t",))
     more = ("dt",) * summed
     table, skipped = columns.table(file, role, (*["t"] * stamped, *quantities), optional=more, may_be_blank=more)
@@ -201,6 +204,11 @@ def read_odometry(
         pose = np.stack([values["x"], values["y"], headings(values, columns.units.factor(role, "theta"))], axis=-1)
         pose = columns.turned(file, role, time, pose)
         pose[:, 2] = se2.wrap_angle(pose[:, 2])
+    elif kind == "sideways":  # each row holds until the next, along arcs
+        held = np.minimum(np.diff(time), longest_hold(time))[:, None] * table.stack(KINDS[kind])[:-1]
+        ahead, left = se2.along_arcs(held[:, 0], held[:, 2]), se2.along_arcs(held[:, 1], held[:, 2])
+        ahead[:, :2] += left[:, 1::-1] * [-1.0, 1.0]
+        pose = se2.dead_reckoned(np.zeros(3), np.concatenate([np.zeros((1, 3)), ahead]))
     elif kind == "steps":
         steps = np.stack([values.get(q, 0.0 * values["dx"]) for q in KINDS["steps"]], axis=-1)
         if between and not np.isnan(instants[: len(time)]).any():

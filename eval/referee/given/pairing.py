@@ -95,11 +95,9 @@ def time_offset(file: str, time: Array, pose: Array, truth_time: Array, truth: A
 
     start = float(shift + lags[best] * dt)
     found = scipy.optimize.minimize_scalar(
-        lambda more: value(start + more, known_a),
-        bounds=(-2.0 * dt, 2.0 * dt),
-        method="bounded",
+        lambda more: value(start + more, known_a), bounds=(-2.0 * dt, 2.0 * dt), method="bounded",
         options={"xatol": 1e-5 * dt},
-    )
+    )  # fmt: skip
     seconds, least = start + float(found.x), float(found.fun)
     (here, known), (later, soon), (sooner, just) = (b.rates(grids[0] + seconds + d, half) for d in (0.0, dt, -dt))
     both = known & known_a & soon & just

@@ -292,10 +292,8 @@ def text_width(text: str, size: str = "footnotesize") -> float:
 NAMES = ("log", "task", "scenario", "estimator", "association", "phase")
 """Columns that say what a row is about; they are never left out, only stated once where they are all the same."""
 READ: dict[str, Callable[[str], str]] = {
-    "log": log,
-    "task": lambda t: TASKS.get(t, t),
-    "association": lambda a: METHODS.get(a, a),
-}
+    "log": log, "task": lambda t: TASKS.get(t, t), "association": lambda a: METHODS.get(a, a),
+}  # fmt: skip
 ESTIMATORS = ("filter", "smoother", "deciding for")  # heads of other columns that name estimators
 NARROWEST, NARROWEST_NAMES = 60.0, 100.0  # pt. A column of text, or of names, is not broken into narrower lines
 FIGURES = re.compile(r"[−-]?[\d.]+(?:e[+-]?\d+)?(?: ± [\d.]+|–[\d.]+)?")

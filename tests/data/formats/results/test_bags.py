@@ -136,6 +136,23 @@ def test_without_tf_it_is_asked_and_an_alignment_needs_no_answer(tmp_path, capsy
     assert "question" not in capsys.readouterr().err
 
 
+def test_a_path_that_tf_alone_publishes_is_read_by_the_names_of_two_frames(tmp_path):
+    maker = Maker("mcap")
+    for k, place in enumerate(WAY):
+        transform(maker, float(k), "odom", "base_link", *place)
+        if k % 10 == 0:
+            transform(maker, float(k), "map", "odom", 3.0 + 0.1 * k, -2.0, 0.4)
+    where = maker.save(tmp_path)
+    assert read_path(f"{where}:/tf:odom.base_link").pose == pytest.approx(np.array(WAY), abs=1e-12)
+    path = read_path(f"{where}:/tf:map.base_link")
+    assert path.time - START == pytest.approx(np.arange(30.0), abs=1e-6), "the stamps of the frame that moves fastest"
+    x = [3.0 + 0.1 * min(k, 20) for k in range(30)]
+    right = [moved(place, (x[k], -2.0, 0.4)) for k, place in enumerate(WAY)]
+    assert path.pose[:28] == pytest.approx(np.array(right)[:28], abs=1e-9)
+    with pytest.raises(UsageError, match=r"which transform\? .*:/tf:PARENT.CHILD .*: map.odom, odom.base_link"):
+        read_path(str(where))
+
+
 def test_poses_without_covariance_and_without_stamps_are_read_and_said(tmp_path):
     maker = Maker("sqlite3")
     for k, place in enumerate(WAY):
