@@ -1,5 +1,7 @@
-"""Files of arrays as tables: MATLAB's, Octave's texts, and numpy's without pickles."""
+"""Files of arrays as tables: MATLAB's, Octave's texts, numpy's, JSON, and pickles, of which no code runs."""
 
+import json
+import pickle
 from collections.abc import Collection, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
@@ -8,13 +10,14 @@ from typing import Any
 import numpy as np
 
 from data.columns.scans import BROKEN, array_of, open_archive
+from data.csv_table import is_number
 from data.errors import DataError
 from data.formats.matlab import CELLS, is_octave, kind_of, load, octave, variables
 from data.formats.messages import file_and_word
 from data.se2 import Array
 
-SUFFIXES = (".mat", ".npz", ".npy")
 PICKLES = (".pkl", ".pickle", ".p")
+SUFFIXES = (".mat", ".npz", ".npy", ".json", *PICKLES)
 WIDE = (12, 30)
 """Most rows and fewest columns of a matrix whose rows are the columns of a table: a state at each of many instants."""
 
@@ -23,15 +26,15 @@ ELEMENT = "element"  # Name of the column of numbers of structs, from 0
 
 
 def is_arrays(path: Path) -> bool:
-    """Whether a file is one of arrays by its name. DataError for a pickle, which can run code."""
+    """Whether a file is one of arrays by its name."""
     path = file_and_word(path)[0]
-    if path.suffix.lower() in PICKLES:
-        raise DataError.at(path, "a pickle, which can run code; save its arrays by numpy.savez, or as CSV")
     return path.suffix.lower() in SUFFIXES or is_octave(path)
 
 
 def named(path: Path) -> dict[str, Any]:
     """The arrays of a file by name; runs no code of it. DataError for a damaged file."""
+    if path.suffix.lower() in (".json", *PICKLES):
+        return _plain_file(path)
     if path.suffix.lower() not in (".npz", ".npy"):
         return octave(path) if is_octave(path) else dict(load(path, variables(path)))
     try:
@@ -45,6 +48,82 @@ def named(path: Path) -> dict[str, Any]:
         raise DataError.at(
             path, f"no plain arrays ({' '.join(str(error).split())[:80]}); numpy.savez writes some"
         ) from None
+
+
+class _Object:
+    """An object of a pickle: its attributes alone."""
+
+    def __init__(self, *_: object) -> None: ...
+
+
+class _Unpickler(pickle.Unpickler):
+    """Reads arrays, numbers and containers; any other object becomes a plain one, so no code of a file runs."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        """One of `SAFE`, else `_Object`; UnpicklingError for tables of pandas, whose parts are no arrays."""
+        module = module.replace("numpy.core", "numpy._core")
+        if module.startswith("pandas"):
+            raise pickle.UnpicklingError("a table of pandas; save it by to_csv")
+        return super().find_class(module, name) if f"{module}.{name}" in SAFE else _Object
+
+
+SAFE = frozenset({
+    "numpy._core.multiarray._reconstruct", "numpy._core.multiarray.scalar", "numpy._core.numeric._frombuffer",
+    "numpy.ndarray", "numpy.dtype", "collections.OrderedDict", "collections.defaultdict", "_codecs.encode",
+    "copyreg._reconstructor", *(f"builtins.{name}" for name in ("object", "list", "dict", "tuple", "set", "complex")),
+})  # fmt: skip
+
+
+def _plain_file(path: Path) -> dict[str, Any]:
+    """What a file of JSON, whole or an object a line, or a pickle holds, by name."""
+    try:
+        if path.suffix.lower() != ".json":
+            with path.open("rb") as file:
+                found = _plain(_Unpickler(file, encoding="latin1").load())
+        else:
+            text = path.read_text(encoding="utf-8-sig")
+            whole = text.count("\n{") < 1 or text.lstrip()[:1] == "["
+            found = _plain(json.loads(text) if whole else [json.loads(line) for line in text.splitlines() if line])
+    except OSError as error:
+        raise DataError.at(path, f"cannot be read: {error.strerror}") from None
+    except (pickle.UnpicklingError, EOFError, ImportError, RecursionError, MemoryError, *BROKEN) as error:
+        what = " ".join(str(error).split())[:100]
+        raise DataError.at(path, f"no plain numbers, lists and arrays: {what}") from None
+    return found if isinstance(found, dict) else {path.stem: found}
+
+
+def _plain(value: Any) -> Any:
+    """Numbers and equal lists as arrays, lists of objects and unequal lists as lists of dicts, as MATLAB's structs."""
+    value = vars(value) if isinstance(value, _Object) else value
+    if isinstance(value, dict) and len(value) > 1 and all(is_number(str(key)) for key in value):  # by stamp or number
+        pairs = [(float(key), _plain(v)) for key, v in value.items()]
+        value = [{"key": key, **(v if isinstance(v, dict) else {"value": v})} for key, v in pairs]
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.dtype == object and value.ndim):
+        each = [_plain(item) for item in value]
+        if each and all(isinstance(item, dict) for item in each):
+            flat = [_flat(item) for item in each]
+            keys = dict.fromkeys(key for item in flat for key in item)
+            return [{key: item.get(key, np.array(np.nan)) for key in keys} for item in flat]
+        alike = len({np.shape(item) for item in each if not isinstance(item, list | dict)}) == 1
+        return np.array(each) if alike and isinstance(each[0], np.ndarray) else [{"": item} for item in each]
+    number = isinstance(value, str) and is_number(value)
+    return np.asarray(float(value) if number else np.nan if value is None else value)
+
+
+def _flat(value: Mapping[str, Any], within: str = "") -> dict[str, Any]:
+    """Fields of objects within an object as NAME.FIELD; a pose of 4 x 4 numbers as its rows one after the other."""
+    found: dict[str, Any] = {}
+    for key, item in value.items():
+        if isinstance(item, dict):
+            found |= _flat(item, f"{within}{key}.")
+        else:
+            found[within + key] = item.ravel() if np.shape(item) in MATRICES else item
+    return found
+
+
+MATRICES = ((4, 4), (3, 4))  # Shapes of poses in space
 
 
 def columns_of(
@@ -67,6 +146,11 @@ def columns_of(
     deep = {name: value for name, value in found.items() if np.ndim(value) == 3 and kind_of(value) == "numbers"}
     for name in (n for n in deep if any(column.startswith(f"{n}_") for column in stated)):
         columns |= _solid(path, name, deep[name], odometry, lengths)
+    for name, value in deep.items():
+        each = value if value.shape[1:] in MATRICES else np.moveaxis(value, 2, 0)
+        R = each[0, :3, :3] if each.shape[1:] in MATRICES else np.zeros((3, 3))
+        if np.allclose(R @ R.T, np.eye(3), atol=1e-2):  # poses in space
+            columns |= _numbered(name, each[:, :3].reshape(len(each), -1))
     rows = tuple(zip_longest(*columns.values(), fillvalue=""))
     if not rows:
         solid = [f"{n} {np.shape(a)}, as in --columns range={n}_1,bearing={n}_2" for n, a in deep.items()]

@@ -21,6 +21,10 @@ def numbered_rows(text: str) -> list[tuple[int, str]]:
     first = next((line for _, line in lines if line.strip() not in ("", "---")), "")
     if re.fullmatch(r"\s*[A-Za-z_]\w*:\s*\S+\s*", first) and (blocks := _blocks(lines)):
         return blocks
+    if re.match(r"\s*[\[(][^\])]*[\])],?\s*$", first):  # rows in brackets
+        return [(i, line.strip(" \t,[]()")) for i, line in lines]
+    if pairs := _pairs(lines):
+        return pairs
     if not re.fullmatch(r"[A-Za-z_]\w*:\s*", first) or not any(line.rstrip() == "---" for _, line in lines):
         return lines
     messages: list[tuple[int, dict[str, str]]] = [(0, {})]
@@ -47,6 +51,19 @@ def numbered_rows(text: str) -> list[tuple[int, str]]:
     names = tuple(rows[0][1])
     whole = [(number, ",".join(fields.values())) for number, fields in rows if tuple(fields) == names]
     return [(1, ",".join(names)), *whole]
+
+
+def _pairs(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
+    """A header and rows of lines `key: number, key: number` of the same keys, two at least; none of other lines."""
+    found = [(i, re.findall(PAIR, line)) for i, line in lines if line.strip()]
+    names = [key for key, _ in found[0][1]] if found else []
+    whole = all([key for key, _ in pairs] == names for _, pairs in found)
+    if len(names) < 2 or not whole or any(re.search(r"[\d=]", re.sub(PAIR, "", line)) for _, line in lines):
+        return []
+    return [(1, ",".join(names)), *((i, ",".join(value for _, value in pairs)) for i, pairs in found)]
+
+
+PAIR = r"([A-Za-z_]\w*)\s*[:=]\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?![\w.])"
 
 
 def _blocks(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:

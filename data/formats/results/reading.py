@@ -16,6 +16,7 @@ from data.csv_table import ends_early, is_number, symmetric
 from data.dates import EXAMPLE, IN_SECONDS, ISO, is_date, seconds_of, unit_of
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean
+from data.formats.arrays import is_arrays
 from data.formats.messages import whole_names
 from data.formats.results import lines
 from data.formats.results import path as paths
@@ -270,7 +271,7 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
         if role not in place:
             what = f"no column {role} is named: {', '.join(columns.order) or 'none'} are known"
             ends = [name for name in columns.unread if words_of(name)[0][-1:] == [role]][:SHOWN]
-            what += f"; {', '.join(ends)} may be {role}" if ends else "; docs/results-files.md lists the names"
+            what += f"; {', '.join(ends)} may be {role}" if ends else f"; it has {', '.join(columns.unread)[:120]}"
             what += f"; type --columns {'truth.' * manner.true}{role}={(ends or ['NAME'])[0]}"
             raise DataError.at(text.path, what, line=columns.line or None)
     dated = _in_seconds(body, place["t"]) if "t" in place else body
@@ -518,7 +519,7 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
     elif path.is_dir():
         raise DataError.at(path, "a folder; a result is a file, or the folder of a run with online.csv or final.csv")
     else:
-        text = _without_words(lines.read_text(path), manner)
+        text = _without_words(_matrices(lines.read_text(path), manner), manner)
         read = _reader(text, manner)
         found, cov, times = read(text, manner), read is lines.read_tum, read is lines.read_kitti
         found = replace(found, notes=(*found.notes, text.cut)) if text.cut else found
@@ -537,6 +538,28 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
         if value is not None and found.covariance is None:
             raise UsageError(f"{flag} {value}: {name} has no covariance")
     return found
+
+
+def _matrices(text: Text, manner: Manner) -> Text:
+    """The text with the upper three rows of poses that are 4 x 4 numbers, in one row or in four, behind a stamp or not;
+    of a file with one matrix alone, whose columns have no names of their own.
+    """
+    named = [n.rpartition("_") for n in text.fields[0]]
+    if not manner.columns and is_arrays(text.path) and len({n[0] for n in named if n[2].isdecimal()} | {""}) == 2:
+        text = replace(text, fields=text.fields[1:], line=text.line[1:], commas=False)
+    if not all(len(row) == len(text.fields[0]) and is_number(row[-1]) for row in text.fields):
+        return text
+    last = [tuple(map(float, row[-4:])) if all(map(is_number, row[-4:])) else () for row in text.fields]
+    width, rows = len(text.fields[0]), len(last)
+    if width in (16, 17) and set(last) == {LAST_ROW}:
+        return replace(text, fields=tuple(row[:-4] for row in text.fields), commas=False)
+    if width == 4 and rows % 4 == 0 and set(last[3::4]) == {LAST_ROW}:
+        joined = tuple(sum(text.fields[k : k + 3], ()) for k in range(0, rows, 4))
+        return replace(text, fields=joined, line=text.line[::4], commas=False)
+    return replace(text, commas=False) if width in (12, 13) and are_matrices(text, width - 12) else text
+
+
+LAST_ROW = (0.0, 0.0, 0.0, 1.0)  # of a pose of 4 x 4 numbers
 
 
 def _without_words(text: Text, manner: Manner) -> Text:

@@ -30,7 +30,7 @@ def test_a_recording_is_named_in_one_line_with_the_command_that_converts_it(tmp_
 
 
 @pytest.mark.parametrize(("name", "text", "words"), [
-    ("walk.pkl", "\x00\x01", ("a file of unknown type", "slamref convert table --help")),
+    ("walk.xyz", "\x00\x01", ("a file of unknown type", "slamref convert table --help")),
     ("folder", None, ("no such file", "slamref convert")),
     ("odometry.csv", "t,x,y,theta\n0,0,0,0\n1,1,0,0\n", ("no observations", "--observations")),
 ])  # fmt: skip

@@ -1,9 +1,14 @@
 """Results in the formats of others, each the same path, with the landmarks and decisions beside it."""
 
+import json
 import math
+import pickle
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+from scipy.io import savemat
 from smfeval.align import propagate_step
 from smfeval.format import Gauge, Representation, SquareHeader, TangentConvention, TangentOrder
 from smfeval.io.header import write_header
@@ -230,6 +235,57 @@ def test_turning_a_path_turns_its_covariance_as_smfeval_does(tmp_path):
 def landmarks(folder, text):
     (folder / "landmarks.csv").write_text(text)
     return companions(folder).landmarks
+
+
+turn = np.linspace(0.0, 3.0, 40)
+PLANE = np.column_stack([5.0 * np.sin(turn), 5.0 - 5.0 * np.cos(turn), turn])
+T = np.tile(np.eye(4), (40, 1, 1))
+T[:, :2, 3], T[:, 0, 0], T[:, 0, 1], T[:, 1, 0], T[:, 1, 1] = PLANE[:, :2], *[f(turn) for f in
+    (np.cos, lambda a: -np.sin(a), np.sin, np.cos)]  # fmt: skip
+FLAT = [{"x": x, "y": y, "yaw": a} for x, y, a in PLANE.tolist()]
+FIELDS = [{"t": k, "pose": {"position": {"x": p["x"], "y": p["y"]}, "yaw": p["yaw"]}} for k, p in enumerate(FLAT)]
+FRAMES = {"frames": [{"file": "a.png", "transform_matrix": M} for M in T.tolist()]}
+TEXTS = {
+    "g.json": json.dumps(FIELDS), "h.json": "\n".join(map(json.dumps, FIELDS)), "j.json": json.dumps(FRAMES),
+    "i.json": json.dumps({str(k): p for k, p in enumerate(FLAT)}), "m.txt": "\n".join(map(str, PLANE.tolist())),
+    "n.log": "\n".join(f"Pose: x={p['x']}, y={p['y']}, yaw={p['yaw']}" for p in FLAT),
+}  # fmt: skip
+OTHERS = {name: lambda p, text=text: p.write_text(text) for name, text in TEXTS.items()} | {
+    "a.npy": lambda p: np.save(p, T), "b.npy": lambda p: np.save(p, PLANE),
+    "c.mat": lambda p: savemat(p, {"T": np.moveaxis(T, 0, 2)}), "d.txt": lambda p: np.savetxt(p, T.reshape(40, 16)),
+    "e.csv": lambda p: np.savetxt(p, T.reshape(-1, 4), delimiter=","),
+    "f.txt": lambda p: np.savetxt(p, np.column_stack([np.arange(40), T.reshape(40, 16)])),
+    "k.pkl": lambda p: p.write_bytes(pickle.dumps([list(row) for row in PLANE])),
+    "l.pkl": lambda p: p.write_bytes(pickle.dumps({"x": PLANE[:, 0], "y": PLANE[:, 1], "yaw": turn}, protocol=2)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_poses_of_other_programs_files_are_one_path(name, tmp_path):
+    OTHERS[name](tmp_path / name)
+    path = read_path(str(tmp_path / name), Manner(axes=ROBOT) if name[0] in "acdefj" else Manner())
+    assert path.pose == pytest.approx(PLANE, abs=1e-6)
+
+
+class Kept:
+    def __init__(self):
+        self.x, self.y = PLANE[:, :2].T
+
+
+class Called:
+    def __reduce__(self):
+        return Path.touch, (Path("called"),)
+
+
+def test_no_code_of_a_pickle_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("a.pkl").write_bytes(pickle.dumps({"pose": Kept(), "more": Called()}))
+    assert read_path("a.pkl").pose[:, :2] == pytest.approx(PLANE[:, :2])
+    assert not Path("called").exists()
+    for damaged in (Path("a.pkl").read_bytes()[:-40], pickle.dumps(pd.DataFrame(PLANE))):
+        Path("b.pkl").write_bytes(damaged)
+        with pytest.raises(DataError, match=r"b.pkl: no plain numbers, lists and arrays: "):
+            read_path("b.pkl")
 
 
 def test_landmarks_have_what_their_columns_say(tmp_path):

@@ -1,5 +1,7 @@
 """Files with rows of several kinds, columns of one name, and scans."""
 
+import json
+
 import numpy as np
 import pytest
 from scipy.io import savemat
@@ -41,8 +43,7 @@ def test_of_two_columns_of_one_name_a_number_tells_which(read):
     text = "time,v,omega,time\n" + "".join(f"{10 * k},0.5,0,{k}\n" for k in range(9))
     seen = "t,range,bearing\n" + "".join(f"{k},{9 - k},0.1\n" for k in range(9))
     sigma = ("--observations", "seen.csv", "--odometry-sigma", "0.05,2deg", "--observation-sigma", "0.1,1deg")
-    files = {"o.csv": text, "seen.csv": seen}
-    log, _ = read(files, *sigma, "--columns", "odometry.t=4")
+    log, _ = read({"o.csv": text, "seen.csv": seen}, *sigma, "--columns", "odometry.t=4")
     assert np.diff(log.recorded.time) == pytest.approx(1.0)
 
 
@@ -235,8 +236,13 @@ def test_series_of_arrays_have_the_stamps_that_are_as_long(convert, tmp_path, se
         assert f"--columns observations.t=l_time, the stamps of its {seen} rows" in said
 
 
-def test_a_pickle_is_refused(unread):
-    assert "a pickle, which can run code" in unread({"a.pkl": "(dp0\n."})
+def test_observations_within_objects_of_json(read):
+    seen = [[{"id": j, "r": 2.0 + j, "phi": 0.1 * k} for j in range(k % 3)] for k in range(9)]
+    rows = [{"t": k, "v": 0.5, "omega": 0.1, "seen": some} for k, some in enumerate(seen)]
+    names = "label=seen.id,range=seen.r,bearing=seen.phi,observations.frame=element"
+    log, _ = read({"a.json": json.dumps(rows)}, "--columns", names)
+    assert log.recorded.observations.z[:, 0] == pytest.approx([2.0, 2.0, 3.0] * 3)
+    assert log.label == pytest.approx([0, 0, 1] * 3)
 
 
 def test_seconds_and_nanoseconds_beside_ranges_in_one_field(read):
