@@ -18,14 +18,10 @@ from tests.quick import examples
 
 def problems(largest):
     return st.builds(
-        problem,
-        st.integers(0, 2**32 - 1),
-        st.integers(0, largest),
-        st.integers(0, largest),
-        ambiguity=st.sampled_from([0.3, 1.0, 3.0, 8.0]),
-        clutter=st.sampled_from([0.0, 0.3]),
+        problem, st.integers(0, 2**32 - 1), st.integers(0, largest), st.integers(0, largest),
+        ambiguity=st.sampled_from([0.3, 1.0, 3.0, 8.0]), clutter=st.sampled_from([0.0, 0.3]),
         correlation=st.sampled_from([0.0, 1.0, 3.0]),
-    )
+    )  # fmt: skip
 
 
 PROBLEMS = problems(6)

@@ -39,15 +39,9 @@ NOTHING = observations_of([], [])
 
 
 def inputs_of(
-    increments: Increments,
-    observations: Observations = NOTHING,
-    sensor: Sensor | None = None,
-    known: LandmarkMap | None = None,
-    *,
-    start: ArrayLike = (0.0, 0.0, 0.0),
-    spread: ArrayLike = 0.0,
-    **more: Any,
-) -> Inputs:
+    increments: Increments, observations: Observations = NOTHING, sensor: Sensor | None = None,
+    known: LandmarkMap | None = None, *, start: ArrayLike = (0.0, 0.0, 0.0), spread: ArrayLike = 0.0, **more: Any,
+) -> Inputs:  # fmt: skip
     """Frames one second apart; the first pose is `start`, its covariance `spread` (one variance, or (3, 3))."""
     C = np.asarray(spread, float)
     time = np.asarray(more.pop("time", np.arange(len(increments.mean))), float)

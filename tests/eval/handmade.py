@@ -38,15 +38,9 @@ def circle_log(*, truth: bool = True, landmarks: bool = True, known_map: bool = 
 
 
 def run_with_error(
-    error: Array,
-    *,
-    estimator: str = "ekf",
-    association: str = "known",
-    task: str = "slam",
-    phases: tuple[str, ...] = ("online",),
-    mapped: bool = True,
-    failure: Failure | None = None,
-) -> Run:
+    error: Array, *, estimator: str = "ekf", association: str = "known", task: str = "slam",
+    phases: tuple[str, ...] = ("online",), mapped: bool = True, failure: Failure | None = None,
+) -> Run:  # fmt: skip
     """A run that is off by `error` (3,) or (N, 3) at every frame and claims `SIGMA`; NaN from a failure's frame on."""
     pose = true_path() + error
     covariance = np.tile(np.diag(SIGMA**2), (FRAMES, 1, 1))

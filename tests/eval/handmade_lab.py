@@ -39,15 +39,9 @@ def lab_log(*, people: bool = False, odometry: bool = True, seed: int = 0, name:
 
 
 def lab_run(
-    log: Log,
-    association: str,
-    *,
-    error: float = 0.01,
-    changes: dict[int, int] | None = None,
-    estimator: str = "ekf",
-    removed: dict[int, int] | None = None,
-    seconds: float = 1.0,
-) -> Run:
+    log: Log, association: str, *, error: float = 0.01, changes: dict[int, int] | None = None, estimator: str = "ekf",
+    removed: dict[int, int] | None = None, seconds: float = 1.0,
+) -> Run:  # fmt: skip
     """A run that is right and leaves people out, but for `changes` by row of the log; off by `error` m from frame 1 on.
     `removed`: frame after which a landmark, by number, was gone, whose observations are discarded in the end.
     """

@@ -20,14 +20,9 @@ def run_of(row: Mapping[str, object], *, measured: bool = True, **changed: objec
 
 
 def judgement(
-    *rows: Mapping[str, object] | None,
-    log: Log = LOG,
-    task: str = "slam",
-    outcomes: Rows = (),
-    differences: Rows = (),
-    trust: Trust | None = None,
-    idle: frozenset[tuple[str, str]] = frozenset(),
-) -> Judgement:
+    *rows: Mapping[str, object] | None, log: Log = LOG, task: str = "slam", outcomes: Rows = (),
+    differences: Rows = (), trust: Trust | None = None, idle: frozenset[tuple[str, str]] = frozenset(),
+) -> Judgement:  # fmt: skip
     """Of rows by hand; None: no such row."""
     measured = log.truth.known_poses > 0
     drawn = () if trust is None else (trust,)

@@ -47,13 +47,9 @@ def circle(sensor, *, frames=60, landmarks=8, noise=1.0, seed=0, see=0.7, R=None
         P0 = np.array([[0.02, 0.004, 0.001], [0.004, 0.01, 0.0], [0.001, 0.0, 0.005]])
     start = truth[0] + noise * rng.multivariate_normal(np.zeros(3), P0)
     inputs = Inputs(
-        Prior(start, P0),
-        np.arange(frames, dtype=float),
-        Increments(mean, covariance),
-        LabelledObservations(frame, z, np.tile(R, (len(z), 1, 1)), label),
-        sensor,
-        LandmarkMap(np.arange(len(xy)), xy),
-    )
+        Prior(start, P0), np.arange(frames, dtype=float), Increments(mean, covariance),
+        LabelledObservations(frame, z, np.tile(R, (len(z), 1, 1)), label), sensor, LandmarkMap(np.arange(len(xy)), xy),
+    )  # fmt: skip
     return inputs, truth, xy
 
 
@@ -61,13 +57,10 @@ def truncated(inputs, frames):
     o = inputs.observations
     m = inputs.start[frames]
     return Inputs(
-        inputs.prior,
-        inputs.time[:frames],
+        inputs.prior, inputs.time[:frames],
         Increments(inputs.increments.mean[:frames], inputs.increments.covariance[:frames]),
-        LabelledObservations(o.frame[:m], o.z[:m], o.R[:m], o.label[:m]),
-        inputs.sensor,
-        inputs.map,
-    )
+        LabelledObservations(o.frame[:m], o.z[:m], o.R[:m], o.label[:m]), inputs.sensor, inputs.map,
+    )  # fmt: skip
 
 
 def order_of_creation(inputs, decisions, created):

@@ -27,16 +27,11 @@ NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
 TOP = ("metrics.csv", "association.csv", "consistency.csv", "trust.csv", "relations.csv", "published.csv")
 RUNS = ".csv .tum .g2o"  # Endings of the files below runs/ that something is kept of
 LEFT_OUT_FILES = {
-    "timing.csv": "how long it took",
-    "provenance.json": "versions and the command",
-    "run.log": "sentences",
-    "report.*": "sentences",
-    "tables/*": "the numbers of the other files once more, with heads for readers",
-    "figures/*": "pictures",
-    "players/*": "pictures",
-    "runs/*/map.*": "a picture; the path in it is kept",
+    "timing.csv": "how long it took", "provenance.json": "versions and the command", "run.log": "sentences",
+    "report.*": "sentences", "tables/*": "the numbers of the other files once more, with heads for readers",
+    "figures/*": "pictures", "players/*": "pictures", "runs/*/map.*": "a picture; the path in it is kept",
     "runs/*/lab.txt": "the decisions once more",
-}
+}  # fmt: skip
 """Files, as patterns, that nothing is kept of, and why."""
 LEFT_OUT_COLUMNS = {("metrics.csv", "lost_why"): "a sentence"}  # File and column that nothing is kept of, and why
 EXACT_ONLY = {

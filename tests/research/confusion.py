@@ -72,21 +72,17 @@ def _jump(u: Array) -> Array:
 
 
 DRAWN: Mapping[str, Draw] = {
-    SOUND: lambda rng, u, z: (u, z),
-    "sigma z": lambda rng, u, z: (u, 2.0 * z),
-    "sigma z, half": lambda rng, u, z: (u, 0.5 * z),
-    "sigma z1": lambda rng, u, z: (u, z * [2.0, 1.0]),
-    "sigma z2": lambda rng, u, z: (u, z * [1.0, 2.0]),
-    "sigma odometry": lambda rng, u, z: (2.0 * u, z),
+    SOUND: lambda rng, u, z: (u, z), "sigma z": lambda rng, u, z: (u, 2.0 * z),
+    "sigma z, half": lambda rng, u, z: (u, 0.5 * z), "sigma z1": lambda rng, u, z: (u, z * [2.0, 1.0]),
+    "sigma z2": lambda rng, u, z: (u, z * [1.0, 2.0]), "sigma odometry": lambda rng, u, z: (2.0 * u, z),
     "sigma odometry, half": lambda rng, u, z: (0.5 * u, z),
     "sigma odometry_x": lambda rng, u, z: (u * [2.0, 1.0, 1.0], z),
     "tails readings": lambda rng, u, z: (u, z / np.sqrt(rng.chisquare(3.0, (len(z), 1)))),
     "tails readings, outliers": lambda rng, u, z: (u, np.where(rng.random((len(z), 1)) < 0.1, 10.0 * z, z)),
     "change z": lambda rng, u, z: (u, np.where(((_frames() >= 30) & (_frames() < 60))[:, None], 3.0 * z, z)),
-    "correlation z": lambda rng, u, z: (u, _lasting(rng, z)),
-    "landmark": lambda rng, u, z: (u, _own(z)),
+    "correlation z": lambda rng, u, z: (u, _lasting(rng, z)), "landmark": lambda rng, u, z: (u, _own(z)),
     "jump odometry": lambda rng, u, z: (_jump(u), z),
-}
+}  # fmt: skip
 SYSTEMATIC: Mapping[str, Mapping[str, float]] = {
     "systematic odometry_theta_time": {"odometry_theta_time": 0.01},
     "systematic odometry_x_distance": {"odometry_x_distance": 0.03},

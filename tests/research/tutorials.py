@@ -107,14 +107,9 @@ class GainFromBefore(EkfLocalizer):
         self._mean[2] = wrap_angle(float(self._mean[2] + increment.mean[2]))
 
     def _updated(
-        self,
-        observations: FrameObservations,
-        decisions: IntArray,
-        at: IntArray,
-        known: Array,
-        threshold: float,
+        self, observations: FrameObservations, decisions: IntArray, at: IntArray, known: Array, threshold: float,
         pose: Array | None,
-    ) -> Updated:
+    ) -> Updated:  # fmt: skip
         self._version += 1
         stats, white = np.zeros(3), np.full((len(decisions), 2), np.nan)
         for row in np.flatnonzero(decisions >= 0).tolist():

@@ -16,14 +16,10 @@ def varied(seed):
     """Latency 0 or 0.05 s either way, sigmas stated 1/4 to 4 times the true ones, biases or none, on stamps or not."""
     rng = np.random.default_rng([seed, 1])
     return Stamped(
-        latency=(0.0, 0.05, -0.05)[seed % 3],
-        stated=tuple(float(f) for f in rng.choice(FACTORS, 2)),
-        bias=((0.0, 0.0), (0.1, 0.02))[seed % 2],
-        over=((1.0, 1.0), (1.04, 0.97))[seed // 2 % 2],
-        offset=(0.0, 0.02)[seed // 4 % 2],
-        noise=(1.0, 2.0)[seed // 8 % 2],
-        seed=seed,
-    )
+        latency=(0.0, 0.05, -0.05)[seed % 3], stated=tuple(float(f) for f in rng.choice(FACTORS, 2)),
+        bias=((0.0, 0.0), (0.1, 0.02))[seed % 2], over=((1.0, 1.0), (1.04, 0.97))[seed // 2 % 2],
+        offset=(0.0, 0.02)[seed // 4 % 2], noise=(1.0, 2.0)[seed // 8 % 2], seed=seed,
+    )  # fmt: skip
 
 
 def deviations(folder, true):

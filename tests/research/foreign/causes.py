@@ -57,14 +57,9 @@ class Row(NamedTuple):
 
 
 def cases(
-    faults: Sequence[str],
-    shapes: Sequence[str],
-    count: int,
-    sound: int,
-    method: str,
-    first: int,
+    faults: Sequence[str], shapes: Sequence[str], count: int, sound: int, method: str, first: int,
     strengths: Sequence[float],
-) -> list[Case]:
+) -> list[Case]:  # fmt: skip
     """`count` logs of each fault and strength and `sound` sound ones, over shapes and tasks in turn."""
     found = []
     groups = [("", sound, SOUND), *((f, count, FAULTY) for f in faults)]
@@ -119,13 +114,10 @@ def one(case: Case, twins: int) -> Row:
         why = "; ".join(n.code.value for n in judged[0].notices) if judged else ""
         return row._replace(failure=why or "no diagnosis")
     return row._replace(
-        p=blame.p,
-        objected=bool(blame.objected),
-        cause=blame.cause,
-        word=j.cause.word,
+        p=blame.p, objected=bool(blame.objected), cause=blame.cause, word=j.cause.word,
         named=AND.join(name_of(f) for f in blame.findings),
         statistics=AND.join(" ".join(key) for key in blame.objected),
-    )
+    )  # fmt: skip
 
 
 def is_right(name: str, fault: str) -> bool:

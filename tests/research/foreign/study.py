@@ -27,13 +27,9 @@ class Case(NamedTuple):
 
 
 def done_all(
-    cases: Sequence[Case],
-    one: Callable[..., Kept],
-    kind: type[Kept],
-    file: Path,
-    jobs: int,
+    cases: Sequence[Case], one: Callable[..., Kept], kind: type[Kept], file: Path, jobs: int,
     arguments: tuple[object, ...] = (),
-) -> list[Kept]:
+) -> list[Kept]:  # fmt: skip
     """`one(case, *arguments)` of each case that is not in the file yet, added to it; the rows of all cases."""
     kept = {Case(*row[: len(Case._fields)]): row for row in read(kind, file)}
     missing = [case for case in cases if case not in kept]

@@ -60,13 +60,10 @@ def make(shape: str, seed: int, fault: str | None = None, strength: float = 1.0)
     true_map = LandmarkMap(ids, landmarks)
     known = faults.on_map(fault, size, true_map, who, form, wrong)
     inputs = Inputs(
-        _prior(form, pose[0], start),
-        time,
-        increments,
-        Observations(frame, z, np.tile(np.diag(np.broadcast_to(sigma, 2) ** 2), (len(z), 1, 1))),
-        sensor_of(form),
+        _prior(form, pose[0], start), time, increments,
+        Observations(frame, z, np.tile(np.diag(np.broadcast_to(sigma, 2) ** 2), (len(z), 1, 1))), sensor_of(form),
         known,
-    )
+    )  # fmt: skip
     name = f"foreign-{shape}:{seed}" + ("" if fault is None else f":{fault}={strength:g}")
     source = {"kind": f"foreign-{shape}", "seed": seed, "fault": fault or "none", "strength": strength}
     return Log(name, inputs, Truth(pose, true_map, who), faults.labels(fault, size, who, wrong), source=source)

@@ -124,14 +124,9 @@ def world_of(index: int, *, exact: bool = False) -> tuple[Log, str]:
 
 
 def measure_all(
-    indices: Sequence[int],
-    done: Sequence[Row],
-    limit: float = LIMIT,
-    methods: Sequence[str] = METHODS,
-    *,
-    world: Callable[[int], tuple[Log, str]] = world_of,
-    smoothing: bool = False,
-) -> Iterator[Row]:
+    indices: Sequence[int], done: Sequence[Row], limit: float = LIMIT, methods: Sequence[str] = METHODS, *,
+    world: Callable[[int], tuple[Log, str]] = world_of, smoothing: bool = False,
+) -> Iterator[Row]:  # fmt: skip
     """The methods on worlds of these indices, without what is done; `world`: log and kind of one. Compiles before."""
     known, more = {(r.number, r.method) for r in done}, {"smoothing": True} if smoothing else {}
     warm = named_log("arena:0:frames=20")

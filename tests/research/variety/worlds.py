@@ -203,13 +203,9 @@ def as_stated(
     covariance, floored = floor_covariances(drawn.misstated.odometry**2 * u.covariance, r.covariance_floor)
     known = LandmarkMap(np.arange(len(xy)), xy)
     recorded = replace(
-        r,
-        increments=Increments(u.mean, covariance),
-        observations=Observations(frame[order], z, R),
-        sensor=stated_sensor(r.sensor, drawn.misstated),
-        map=known,
-        floored=floored,
-    )
+        r, increments=Increments(u.mean, covariance), observations=Observations(frame[order], z, R),
+        sensor=stated_sensor(r.sensor, drawn.misstated), map=known, floored=floored,
+    )  # fmt: skip
     kind, _, index = name.partition("-")
     source = {"kind": kind, "index": int(index), "of": drawn.name}
     return Log(name, recorded, Truth(truth.pose, known, who[order], errors=truth.errors), source=source)

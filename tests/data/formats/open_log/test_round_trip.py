@@ -282,12 +282,7 @@ def test_a_wrong_array_is_refused_with_its_row(changed, message):
 
 def test_a_log_prints_a_few_lines():
     assert str(open_log("arena:0")).splitlines() == [
-        "Log arena:0",
-        "  frames: 200 (99.5 s)",
-        "  observations: 1627",
-        "  sensor: range_bearing",
-        "  map: 25 landmarks",
-        "  truth: in 200 frames",
-        "  labels: yes",
-    ]
+        "Log arena:0", "  frames: 200 (99.5 s)", "  observations: 1627", "  sensor: range_bearing",
+        "  map: 25 landmarks", "  truth: in 200 frames", "  labels: yes",
+    ]  # fmt: skip
     assert str(made(seen=np.empty((0, 3)), label=[])).endswith("  labels: none")

@@ -109,18 +109,10 @@ def test_bars_between_and_behind_fields_and_a_title_above_the_names_are_read(rea
     rows = "".join(f"{k} | {0.5 * k} | -1.5 | 0.25 | 9 | \n" for k in range(5))
     text = "Poses & places, as driven\n time | px | py | yaw |\tcov[1,1]\n" + rows
     log, said = read(
-        {"o.txt": text, "f.csv": "t,x,y\n1,0,0\n2,1,0\n"},
-        "--fixes",
-        "f.csv",
-        "--columns",
-        "t=time,x=px,y=py,theta=yaw,fixes.t=t,fixes.x=x,fixes.y=y",
-        "--prior",
-        "0,0,0",
-        "--prior-sigma",
-        "1,1,1",
-        "--fix-sigma",
-        "1,1",
-    )
+        {"o.txt": text, "f.csv": "t,x,y\n1,0,0\n2,1,0\n"}, "--fixes", "f.csv", "--columns",
+        "t=time,x=px,y=py,theta=yaw,fixes.t=t,fixes.x=x,fixes.y=y", "--prior", "0,0,0", "--prior-sigma", "1,1,1",
+        "--fix-sigma", "1,1",
+    )  # fmt: skip
     assert "o.txt: line 1 is a title above the names: Poses & places, as driven" in said
     assert np.hypot(*log.recorded.increments.mean[:, :2].T).sum() == pytest.approx(2.0)
 

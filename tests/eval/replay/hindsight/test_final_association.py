@@ -127,17 +127,10 @@ def decided(number, z, xy, looks=None, motion=0.0, share=1.0):
     found = Reassociation(number, np.zeros(m))
     known = LandmarkMap(ids, np.asarray(xy, float))
     return whole_log.Smoothed(
-        VIEW,
-        np.zeros((m, 3)),
-        known,
-        seen,
-        found,
-        share,
-        motion,
+        VIEW, np.zeros((m, 3)), known, seen, found, share, motion,
         {n: Detections(each) for n, each in (looks or dict.fromkeys(ids.tolist(), SEEN)).items()},
-        Start(np.zeros((m, 3)), known.xy),
-        CHI_SQUARE,
-    )
+        Start(np.zeros((m, 3)), known.xy), CHI_SQUARE,
+    )  # fmt: skip
 
 
 Z = [[5.0, 0.1], [5.1, 0.0], [4.95, -0.05], [7.0, 2.0]]

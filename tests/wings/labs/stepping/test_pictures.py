@@ -223,15 +223,11 @@ def test_the_walk_prints_them_before_the_observations_and_as_the_run_says(capsys
 
 def test_an_estimator_without_fixes_has_none_and_says_so(capsys, tmp_path):
     (tmp_path / "plain.py").write_text(
-        "from ekf.localizer import EkfLocalizer\n"
-        "class Plain:\n"
-        "    tasks = ('localization',)\n"
-        "    def __init__(self, *given):\n"
-        "        self.f = EkfLocalizer(*given[:3])\n"
-        "    def predict(self, i): self.f.predict(i)\n"
-        "    def update(self, o, d): self.f.update(o, d)\n"
+        "from ekf.localizer import EkfLocalizer\n" "class Plain:\n" "    tasks = ('localization',)\n"
+        "    def __init__(self, *given):\n" "        self.f = EkfLocalizer(*given[:3])\n"
+        "    def predict(self, i): self.f.predict(i)\n" "    def update(self, o, d): self.f.update(o, d)\n"
         "    def estimate(self): return tuple(self.f.estimate())\n"
-    )
+    )  # fmt: skip
     named = f"{tmp_path}/plain.py:Plain"
     assert main([WORLD, "--frames", "5", "--association", "known", "--run-through", "--estimator", named]) == 0
     out = capsys.readouterr().out

@@ -155,19 +155,10 @@ def _outcomes(*names: str) -> np.ndarray:
 def test_a_step_is_said_word_for_word():
     truth = TruthRow(np.array([2, 11, -1, 4]), _outcomes("tp", "fp", "tn", "fn"))
     assert lab_block(Step(4, truth, np.array([2, 3, -1, -2]), np.array([-1, -1, 5, -1]))).split("\n") == [
-        RULE,
-        "Step: 5",
-        "GROUND  TRUTH:  3  12   0   5  ",
-        "MY HYPOTHESIS:  3   4   0   0  ",
-        "Correct (1/0)?  1   0   1   0  ",
-        "",
-        "NEW:  6   ",
-        "Hypothesis not in agreement with ground truth",
-        "True positives: 1",
-        "True negatives: 1",
-        "False positives: 1",
-        "False negatives: 1",
-    ]
+        RULE, "Step: 5", "GROUND  TRUTH:  3  12   0   5  ", "MY HYPOTHESIS:  3   4   0   0  ",
+        "Correct (1/0)?  1   0   1   0  ", "", "NEW:  6   ", "Hypothesis not in agreement with ground truth",
+        "True positives: 1", "True negatives: 1", "False positives: 1", "False negatives: 1",
+    ]  # fmt: skip
     assert lab_block(Step(0, truth, np.array([-1]), np.array([0]))) == ""
     blind = lab_block(Step(4, None, np.array([2, -2]), np.array([-1, -1])))
     assert blind.split("\n")[1:] == ["Step: 5", "MY HYPOTHESIS:  3   0  "]
@@ -178,19 +169,11 @@ def test_the_worked_example_has_counts_4_1_1_1():
     truth = TruthRow(np.array([0, 1, 2, 3, -1, 4, 5]), _outcomes("tp", "tp", "tp", "tp", "tn", "fp", "fn"))
     text = lab_block(Step(1, truth, np.array([0, 1, 2, 3, -1, 5, -1]), np.array([-1, -1, -1, -1, 8, -1, 9])))
     assert text.split("\n") == [
-        RULE,
-        "Step: 2",
-        "GROUND  TRUTH:  1   2   3   4   0   5   6  ",
-        "MY HYPOTHESIS:  1   2   3   4   0   6   0  ",
-        "Correct (1/0)?  1   1   1   1   1   0   0  ",
-        "",
-        "NEW:  9   10   ",
-        "Hypothesis not in agreement with ground truth",
-        "True positives: 4",
-        "True negatives: 1",
-        "False positives: 1",
-        "False negatives: 1",
-    ]
+        RULE, "Step: 2", "GROUND  TRUTH:  1   2   3   4   0   5   6  ", "MY HYPOTHESIS:  1   2   3   4   0   6   0  ",
+        "Correct (1/0)?  1   1   1   1   1   0   0  ", "", "NEW:  9   10   ",
+        "Hypothesis not in agreement with ground truth", "True positives: 4", "True negatives: 1",
+        "False positives: 1", "False negatives: 1",
+    ]  # fmt: skip
 
 
 def test_counts_are_left_out_where_the_hypothesis_is_right():

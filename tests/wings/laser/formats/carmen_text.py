@@ -15,14 +15,9 @@ def flaser(ranges: Sequence[object], pose: tuple[float, float, float], stamp: fl
 
 
 def robotlaser(
-    ranges: Sequence[object],
-    laser: tuple[float, float, float],
-    robot: tuple[float, float, float],
-    stamp: float,
-    *,
-    head: str = "0 -2.0 4.0 0.5 5.6 0.03 0",
-    remissions: Sequence[object] = (),
-) -> str:
+    ranges: Sequence[object], laser: tuple[float, float, float], robot: tuple[float, float, float], stamp: float, *,
+    head: str = "0 -2.0 4.0 0.5 5.6 0.03 0", remissions: Sequence[object] = (),
+) -> str:  # fmt: skip
     intensities = " ".join(["", *map(str, remissions)])
     return (
         f"ROBOTLASER1 {head} {len(ranges)} {' '.join(map(str, ranges))} {len(remissions)}{intensities} "

@@ -41,19 +41,10 @@ def backing(truth: Array, rng: np.random.Generator, every: int = 150, back: int 
 
 
 def recorded(
-    truth: Array,
-    walls: Array,
-    rng: np.random.Generator,
-    *,
-    told: Array | None = None,
-    period: float = PERIOD,
-    thin: int = 1,
-    scanner: Scanner = SICK,
-    glass: Array | None = None,
-    noise: float = 0.01,
-    stamp: Array | None = None,
-    exact_ranges: Array | None = None,
-) -> Log:
+    truth: Array, walls: Array, rng: np.random.Generator, *, told: Array | None = None, period: float = PERIOD,
+    thin: int = 1, scanner: Scanner = SICK, glass: Array | None = None, noise: float = 0.01,
+    stamp: Array | None = None, exact_ranges: Array | None = None,
+) -> Log:  # fmt: skip
     """A log of a path (N, 3) with odometry whose increments are `told` (N, 3), those of the path by default, plus
     noise with the travel as of real wheels. One of `thin` frames has a scan, of the walls or as given.
     """
