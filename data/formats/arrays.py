@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from data.columns.named import STAMP
 from data.columns.scans import BROKEN, array_of, open_archive
 from data.csv_table import is_number
 from data.errors import DataError
@@ -136,10 +137,13 @@ def columns_of(
     """
     path, word = file_and_word(path)
     found = named(path)
-    alone = sum(isinstance(value, dict | list) for value in found.values()) == 1
+    structs = [name for name, value in found.items() if isinstance(value, dict) or _are_structs(value)]
+    along = {np.size(value) for name, value in found.items() if name.lower() in STAMP and kind_of(value) == "numbers"}
     columns: Columns = {}
     for name, value in found.items():
-        columns |= _unrolled("" if alone and isinstance(value, dict | list) else name, value)
+        turned = np.ndim(value) == 2 and len(value.T) in along and len(value) not in along
+        value = value.T if turned and len(value) > WIDE[0] else value  # an instant in each column
+        columns |= _unrolled("" if [name] == structs else name, value)
     if word and (own := {k.removeprefix(f"{word}."): c for k, c in columns.items() if k.startswith(f"{word}.")}):
         columns = own
     lengths = set(map(len, columns.values()))
@@ -157,6 +161,10 @@ def columns_of(
         has = ", ".join([*(n for n in found if n not in deep), *solid])
         raise DataError.at(path, f"no vector of numbers; it has {has or 'nothing'}")
     return tuple(columns), rows
+
+
+def _are_structs(value: Any) -> bool:
+    return isinstance(value, list) and any(key for struct in value for key in struct)
 
 
 Columns = dict[str, list[str]]

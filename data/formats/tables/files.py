@@ -26,7 +26,7 @@ from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import ELEMENT, columns_of, is_arrays
 from data.formats.messages import cut_end, file_and_word, kinds_of, numbered_rows, parts_of, whole_names, with_word
-from data.formats.results.reading import RATES, role_of, topics_in, words_of
+from data.formats.results.reading import RATES, TRUE, role_of, topics_in, words_of
 from data.inputs import IntArray
 from data.notice import Notice
 from data.origin import Origin
@@ -36,6 +36,7 @@ from data.terminal import counted
 
 SEPARATORS = (";", "\t", ",", "|", " ")  # In this order: a decimal comma is no separator beside a semicolon or a tab
 COMMENT = ("#", "%")
+NAMED = 12  # Most columns of a matrix of which each has a meaning
 NAMES_SHOWN = 200  # Most characters of a header in a message
 
 
@@ -65,6 +66,9 @@ class TextTable:
     def find(self, name: str) -> int | None:
         """Index of the column of that name, or number counted from 1; None without one, DataError for several."""
         name = name if name in self.names else name.lstrip("".join(COMMENT))  # of a header that is a comment
+        listed = [k for k, other in enumerate(self.names) if other.startswith(f"{name}_")]
+        if name not in self.names and len(listed) > NAMED:
+            return listed[0]  # the first of a matrix, or of lists
         if name in self.names:
             several = [str(k + 1) for k, other in enumerate(self.names) if other == name]
             if len(several) > 1 and any(len({row[int(k) - 1] for k in several}) > 1 for row in self.rows):
@@ -236,7 +240,8 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
             ragged = "; is it one observation after the other? a row for each is needed, of points of a scan its ranges"
             several = kinds_of(path, rows) or ragged * (len(set(map(len, rows))) > 2)
             raise DataError.at(path, f"{len(row)} fields where {width} are needed{last or several}", line=line)
-    rows = whole_dates(rows)
+    names, rows, number = _lists(names, whole_dates(rows), number)
+    width = len(rows[0])
     points = any("." in f and is_number(f) for row in rows[:1000] for f in row)
     comma = separator in ";\t| " and any("," in f for row in rows for f in row) and not points
     shown = list(whole_names(names, rows)) if names is not None else [str(k + 1) for k in range(width)]
@@ -246,6 +251,39 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
         if last in ("secs", "sec") and j is not None and all(r[j].isdecimal() for r in rows):
             rows, shown[k] = [(*r[:k], f"{r[k]}.{int(r[j]):09d}", *r[k + 1 :]) for r in rows], stem
     return TextTable(path, tuple(shown), tuple(rows), number, names is not None, comma, cut)
+
+
+def _lists(
+    names: tuple[str, ...] | None, rows: list[tuple[str, ...]], number: IntArray
+) -> tuple[tuple[str, ...] | None, list[tuple[str, ...]], IntArray]:
+    """Names, rows and their lines, with lists of numbers within fields of a column as columns NAME_1, NAME_2, ...: as
+    many numbers in each field, or any number of groups `(1, 2.5), (2, 0.5)` or `1:2.5;2:0.5`, as rows below, with the
+    number of their row in the column NAME.element.
+    """
+    for j in reversed(range(len(rows[0]))):
+        if not any(re.search(r"[\[({]|\d;|\d\s+[-+.\d]", row[j]) and not is_date(row[j]) for row in rows[:MANY]):
+            continue
+        fields = [re.sub(r"np\.\w+\(([^()]*)\)|array", r"\1", row[j]) for row in rows]
+        groups = [re.findall(r"[\[({]([^\[\](){}]+)[\])}]", f) or f.strip("[](){}").split(";") for f in fields]
+        parts = [[re.split(r"[\s,:]+", g.strip(" ,")) for g in some if g.strip(" ,")] for some in groups]
+        counts, most = {len(part) for some in parts for part in some}, max(map(len, parts))
+        if len(counts) != 1 or counts == {1} or not all(is_number(v) for some in parts for part in some for v in part):
+            continue
+        blank, stem = [("",) * counts.pop()], names[j] if names else str(j + 1)
+        each = [some or blank if most == 1 else blank for some in parts]
+        whole = [(*row[:j], *own[0], *row[j + 1 :]) for row, own in zip(rows, each, strict=True)]
+        if most > 1:
+            before, behind = ("",) * j, ("",) * (len(rows[0]) - j - 1)
+            below = [(*before, *part, *behind, str(k)) for k, some in enumerate(parts) for part in some]
+            whole = [*((*row, "") for row in whole), *below]
+            number = np.concatenate([number, np.repeat(number, list(map(len, parts)))])
+        named = [*(f"{stem}_{k}" for k in range(1, len(blank[0]) + 1))]
+        names = (*names[:j], *named, *names[j + 1 :], *[f"{stem}.{ELEMENT}"] * (most > 1)) if names else None
+        rows = whole
+    return names, rows, number
+
+
+MANY = 50  # First rows, of which one shows whether a column holds lists
 
 
 def _each(rows: Sequence[Sequence[str]]) -> int:
@@ -556,7 +594,9 @@ class Columns:
             return file.find("time" if quantity == "t" and self._headings(file) else quantity)
         usual = (quantity.replace("theta", "yaw"), quantity)
         read = {c: (role_of(name)[0], "".join(words_of(name)[0])) for c, name in enumerate(file.names) if file.named}
-        also = [c for c, (role, word) in read.items() if role in usual or word in (quantity, *ALSO.get(quantity, ()))]
+        others = [c for c in read if role in ("odometry", "observations") and TRUE & {*words_of(file.names[c])[0]}]
+        read = {c: found for c, found in read.items() if c not in others}
+        also = [c for c, (of, word) in read.items() if of in usual or word in (quantity, *ALSO.get(quantity, ()))]
         if not also and quantity in WITHIN:  # of a field within structs; not the number of a struct that has its own
             last = {c: "".join(words_of(name.rpartition(".")[2])[0]) for c, name in enumerate(file.names) if file.named}
             also = [c for c, word in last.items() if word in ALSO[quantity]]

@@ -81,8 +81,10 @@ def _instants(
     file: TextTable, wanted: Wanted, role: str, odometry: Odometry, stamps: Sequence[str], rows: Sequence[str]
 ) -> tuple[Sequence[str], bool]:
     """The columns of instants, stamps or rows of the odometry, and whether they are stamps."""
-    stamped = odometry.stamped and wanted.columns.find(file, role, stamps[0]) is not None
-    if not stamped and wanted.columns.find(file, role, rows[0]) is None:
+    t, of = (wanted.columns.find(file, role, q) for q in (stamps[0], rows[0]))
+    unstamped = t is not None and of is not None and any(row[of] and not row[t] for row in file.rows)
+    stamped = odometry.stamped and t is not None and not unstamped
+    if not stamped and of is None:
         wanted.columns.require(file, role, (stamps if odometry.stamped else rows)[:1])
     return (stamps, True) if stamped else (rows, False)
 
@@ -385,6 +387,11 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     columns.check_used(list(dict.fromkeys(texts.values())))
     columns.say_unused(texts)
     observed, labels = joined(seen, wanted.sensors, time)
+    named = np.concatenate([np.empty(0, np.int64), *labels.values()])
+    last = 0 if known is None or columns.find(texts["map"], "map", "id") is not None else len(known.id)
+    if known is not None and last and named.max(initial=0) == last and not (named == 0).any():
+        known = replace(known, id=known.id + 1)
+        notes.append(f"inferred: landmarks of the map count from 1, as {last} is the last label")
     if known is not None and "label" in labels and "true_id" not in labels:
         scored = "not scored: a sensor read the labels" if wanted.sensed else "scored under their labels"
         notes.append(f"landmarks of a map are {scored}; a column true_id tells pairings right from wrong, too")

@@ -237,6 +237,42 @@ def test_observations_within_objects_of_json(read):
     assert log.label == pytest.approx([0, 0, 1] * 3)
 
 
+SEEN = [[(j, 2.0 + j, 0.1 * k) for j in range(k % 3)] for k in range(30)]
+INSIDE = {
+    "tuples": lambda some: str(some), "brackets of numpy": lambda some: str([np.array(one) for one in some]),
+    "colons": lambda some: ";".join(f"{j}:{r}:{b}" for j, r, b in some),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", INSIDE)
+def test_observations_within_a_field(read, form):
+    rows = "".join(f'{k},0.5,0.1,"{INSIDE[form](some)}"\n' for k, some in enumerate(SEEN))
+    log, _ = read({"a.csv": f"t,v,w,seen\n{rows}"}, "--columns", "omega=w,label=seen_1,range=seen_2,bearing=seen_3")
+    assert log.recorded.observations.z[:, 0] == pytest.approx([2.0, 2.0, 3.0] * 10)
+    assert log.recorded.observations.frame == pytest.approx(np.repeat(range(30), [0, 1, 2] * 10))
+
+
+@pytest.mark.parametrize("form", ["a list", "a matrix", "its transpose"])
+def test_scans_within_a_field_or_a_matrix(convert, tmp_path, form):
+    far = np.linspace(1.0, 5.0, 40 * 36).reshape(40, 36)
+    steps = np.column_stack([0.1 * np.arange(40), 0.05 * np.arange(40), np.zeros((40, 2))])
+    text = "t,x,y,theta,ranges\n" + "".join(f'{a},{b},0,0,"{z.tolist()}"\n' for (a, b, *_), z in zip(steps, far))
+    named = ("--columns", "x=p_1,y=p_2,theta=p_3,scans.range=z") if form != "a list" else ()
+    file = "a.csv" if form == "a list" else "a.mat"
+    arrays = {"t": steps[:, 0], "p": steps[:, 1:], "z": far}
+    savemat(tmp_path / "a.mat", {n: a.T for n, a in arrays.items()} if form == "its transpose" else arrays)
+    log, _ = convert({"a.csv": text}, "table", file, "out", "--scans", file, "--scanner=-180deg,10deg,8m", *named)
+    assert log.recorded.scans.ranges == pytest.approx(far)
+
+
+def test_without_ids_landmarks_of_a_map_count_from_1_if_the_last_label_is_their_number(read):
+    odometry = "t,v,omega,range,bearing,label\n" + "".join(f"{k},0,0,2,0,{1 + k % 3}\n" for k in range(9))
+    start = ("--map", "m.csv", "--prior", "0,0,0", "--prior-sigma", "1,1,1")
+    log, said = read({"a.csv": odometry, "m.csv": "x,y\n2,0\n4,1\n5,5\n"}, *start)
+    assert log.recorded.map.id.tolist() == [1, 2, 3]
+    assert "inferred: landmarks of the map count from 1, as 3 is the last label" in said
+
+
 def test_seconds_and_nanoseconds_beside_ranges_in_one_field(read):
     names = "time,header.stamp.secs,header.stamp.nsecs"
     stamps = [f"2020/01/01,{k // 10},{k % 10}00000000" for k in range(12)]
