@@ -371,6 +371,7 @@ class Deviation:
     exact: bool  # whether the estimator claims to be exact
     new_alone: bool = False  # whether all that is observed in that frame initializes landmarks
     linear_alone: bool = False  # whether the other world agrees so far, so that a sensor of its own may be the cause
+    left_out: bool = False  # whether all that it uses are given pairings, and without the others its numbers are off
 
 
 @dataclass(frozen=True)
@@ -446,12 +447,14 @@ def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:
     # landmarks that are elsewhere as soon as there are any were initialized elsewhere, which no update explains
     elsewhere = order[:1] == [Quantity.LANDMARKS] and not any(len(s.number) for s in right[:first])
     bug = None if elsewhere else likely(world, task, mine)
+    left_out = len(begin) > 1 and all(np.isin(g.used, r.used).all() for g, r in zip(given, right, strict=False))
     facts: list[Fact] = []
     for q in order:
         chosen, limit = frames[begin[q]][1], 0.0 if q in COUNTED else allowed
         own = bug if bug or elsewhere else likely(world, task, mine, q)
         new = NEW in chosen and not (chosen >= 0).any()
-        facts.append(Deviation(world, q, begin[q], len(chosen) > 0, q is order[0], largest[q], limit, own, exact, new))
+        off = Deviation(world, q, begin[q], len(chosen) > 0, q is order[0], largest[q], limit, own, exact, new)
+        facts.append(replace(off, left_out=left_out and q is Quantity.USED))
     return facts if stop is None else [*facts, Stopped(world, len(given), str(stop), bug)]
 
 
@@ -613,7 +616,8 @@ def recorded(
     text: str, inputs: Inputs, frames: Frames, *, exact: bool = True
 ) -> tuple[list[State], float, ForeignError | None]:
     """What an estimator says about frames, its least effective number of samples (infinite: none), and why it stopped.
-    A landmark that is not initialized at once ends the comparison; of an `exact` estimator it is a reason.
+    A landmark that is not initialized at once ends the comparison; of an `exact` estimator, or if no pairing was
+    compared before, it is a reason.
     """
     estimator, slam = make_estimator(text, inputs), inputs.map is None
     foreign = estimator if isinstance(estimator, Adapter) else None
@@ -624,7 +628,10 @@ def recorded(
         for frame, decisions in frames:
             state, absent = _said(estimator, timed, frame, decisions, slam=slam)
             if absent:
-                stop = ForeignError(f"{absent} NEW observations initialize no landmark") if exact else None
+                why, some = f"{absent} NEW observations initialize no landmark", any(len(s.used) for s in found)
+                if not some:
+                    why += ", so nothing could be compared: initialize each at once in `update`, at least for the check"
+                stop = ForeignError(why) if exact or not some else None
                 break
             found.append(state)
     except (ForeignError, *DIVERGED) as fault:

@@ -123,6 +123,23 @@ def test_a_landmark_that_waits_is_an_error_only_of_what_claims_to_be_exact(exact
     assert not exact or "NEW observations initialize no landmark" in only.why
 
 
+def test_an_approximation_of_which_no_pairing_was_compared_has_not_passed():
+    class Never(Jittered):
+        def update(self, o, decisions):
+            return super().update(o, np.full(len(decisions), -2)) | {"created": np.full(len(decisions), -1)}
+
+    assert "in frame 0: 3 NEW observations initialize no landmark, so nothing could be" in sentence(*facts(Never))
+
+
+def test_a_gate_of_its_own_is_named():
+    class Gated(Jittered):
+        def update(self, o, decisions):
+            kept = np.where(np.cumsum(decisions >= 0) > 3, -2, decisions)
+            return super().update(o, kept) | {"used": kept >= 0}
+
+    assert "leaves out pairings that it is given (a gate of its own?)" in sentence(facts(Gated, "localization")[0])
+
+
 @pytest.mark.parametrize("world", [worlds.LINEAR, worlds.MILD])
 @pytest.mark.parametrize("task", ["localization", "slam"])
 def test_the_exact_filter_is_that_of_the_textbook(world, task):

@@ -6,7 +6,7 @@ import numpy as np
 
 from association.expectation import gate_threshold
 from association.methods import singles
-from data.se2 import world_from_body
+from data.se2 import compose, world_from_body
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from tests.eval.checks.plain import Plain
@@ -235,3 +235,15 @@ class OwnRange(Plain):
         super().found(z, R)
         angle = self.x[2] + z[1]
         self.x[-2:] = self.x[:2] + z[0] * np.array([np.cos(angle), np.sin(angle)])
+
+
+class Averaging(Plain):
+    """It predicts by sigma points, whose headings it averages as if they were lengths."""
+
+    turn = staticmethod(lambda angle: angle)
+
+    def predict(self, increment):
+        L, R, centre = np.linalg.cholesky(3 * self.P).T, world_from_body(self.x[2]), compose(self.x, increment.mean)
+        off = compose(self.x + np.vstack([L, -L]), increment.mean) - centre
+        off[:, 2] = self.turn(off[:, 2])
+        self.x, self.P = centre + off.mean(axis=0), np.cov(off.T, bias=True) + R @ increment.covariance @ R.T
