@@ -145,7 +145,8 @@ def statistics_of(evidence: Evidence) -> pd.DataFrame:
             wrong = int((own & (shown != p) & ((shown >= 0) | np.isin(found.frame, list(at)))).sum())
             row |= {
                 "frames in view": len(at), "of these found": len(pairs),
-                "recall [%]": 100.0 * len(pairs) / len(at) if at else None, "wrong": wrong,
+                "recall [%]": 100.0 * len(pairs) / len(at) if at else None,
+                "wrong": wrong,
                 "not judged": int(own.sum()) - len(pairs) - wrong,
                 "corner error, median [px]": float(np.median(off)) if off else None,
             }  # fmt: skip
