@@ -55,7 +55,8 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """` (did you mean NAME?)`, or nothing if no known name is near."""
-    near = nearest(word, known)
+    names = list(known)
+    near = next((name for name in names if name.startswith((f"{word}_", f"{word}."))), nearest(word, names))
     return f" (did you mean {near}?)" if near else ""
 
 

@@ -52,6 +52,7 @@ class Code(StrEnum):
     HEADING_UNIT = "heading-unit", WARNING
     RANGE_UNIT = "range-unit", WARNING
     FEW_RETURNS = "few-returns", WARNING
+    FEW_BEAMS = "few-beams", WARNING
     MOUNTING = "mounting", WARNING
     BEAM_ANGLES = "beam-angles", WARNING
     STAMPS_BACK = "stamps-back", WARNING

@@ -35,6 +35,9 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
         each = [pair for text in reading.columns for pair in text.split(",")]
         own = ("" if "." in pair.partition("=")[0] or pair[:2] == "t=" else "estimate." for pair in each)
         reading = replace(reading, columns=tuple(role + pair for role, pair in zip(own, each, strict=True)))
+        x = [pair.partition("=")[2] for pair in reading.columns if pair.startswith(("estimate.x=", "truth.x="))]
+        if len(x) == 2 and x[0] == x[1]:
+            raise UsageError(f"--columns: column {x[0]} is x of estimate and truth; name two columns")
     files, truths = _files(files, truths)
     scores, notes = printed(files, truths, reading, infer="align" not in given)
     sys.stdout.write(f"{scores}\n")

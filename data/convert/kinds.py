@@ -248,7 +248,7 @@ def _g2o(args: argparse.Namespace) -> Log | str:
     if closures is not None:
         sentence += f", {counted(len(closures), 'closure')}"
     if fixes is not None:
-        sentence += f"; {counted(len(fixes), 'fix', 'fixes')} omitted"
+        sentence += f", {counted(len(fixes), 'fix', 'fixes')}"
     if log.truth.relations is not None:
         sentence += f"; {counted(len(log.truth.relations), 'reference relation')} omitted"
     if not kept and ids[0]:

@@ -17,7 +17,7 @@ def numbered_rows(text: str) -> list[tuple[int, str]]:
     A field is named by its path, as `pose.pose.position.x`; elements of lists have numbers from 0 behind it. Seconds
     and nanoseconds of a stamp are one field. Messages whose fields are not those of the first are left out.
     """
-    lines = list(enumerate(text.splitlines(), 1))
+    lines = _whole(list(enumerate(text.splitlines(), 1)))
     first = next((line for _, line in lines if line.strip() not in ("", "---")), "")
     if re.fullmatch(r"\s*[A-Za-z_]\w*:\s*\S+\s*", first) and (blocks := _blocks(lines)):
         return blocks
@@ -51,6 +51,22 @@ def numbered_rows(text: str) -> list[tuple[int, str]]:
     names = tuple(rows[0][1])
     whole = [(number, ",".join(fields.values())) for number, fields in rows if tuple(fields) == names]
     return [(1, ",".join(names)), *whole]
+
+
+def _whole(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
+    """The lines, with those within the quotes of a field as one; as they are where a quote is not closed."""
+    found, held = list[tuple[int, str]](), list[tuple[int, str]]()
+    for line in lines if any(line.count('"') % 2 for _, line in lines) else ():
+        held.append(line)
+        if sum(part.count('"') for _, part in held) % 2 == 0:
+            found.append((held[0][0], " ".join(part.strip() for _, part in held)))
+            held = []
+        elif len(held) > LONGEST:
+            break
+    return found if found and not held else lines
+
+
+LONGEST = 1000  # Lines of a field within quotes
 
 
 def _pairs(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:

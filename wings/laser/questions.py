@@ -12,7 +12,7 @@ from data.log import Log
 from data.notice import Code, Notice, notice
 from data.questions.flags import as_pose
 from data.se2 import Array, between, dead_reckoned, inverse, transform_points
-from wings.laser.scans.points import beams_of
+from wings.laser.scans.points import FEWEST_BEAMS, beams_of
 
 K = TypeVar("K")
 FEWEST = 20  # Least number of scans for a question
@@ -167,6 +167,8 @@ FEW_RETURNS = 0.02  # Share of beams with a return below which nothing can be ma
 def returns(_: Log, scans: Scans) -> list[Notice]:
     """Scans almost without returns: another unit, or a maximum that is too small."""
     share = float((scans.ranges > 0.0).mean())
+    if scans.ranges.shape[1] < FEWEST_BEAMS:
+        return [notice(Code.FEW_BEAMS, beams=scans.ranges.shape[1], least=FEWEST_BEAMS)]
     return [] if share > FEW_RETURNS else [notice(Code.FEW_RETURNS, share=share, max_range=scans.scanner.max_range)]
 
 

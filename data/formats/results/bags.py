@@ -14,7 +14,7 @@ import numpy as np
 
 from data.errors import DataError, UsageError
 from data.formats.recordings.ros import ODOMETRY, OLD_TRANSFORMS, TRANSFORMS, Tree, opened, stamp_of
-from data.formats.results.path import STATED, WORLD, Clock, GivenPath, Manner, Spatial, Stated
+from data.formats.results.path import STATED, WORLD, Clock, GivenPath, Manner, Spatial, Stated, without_headings
 from data.formats.results.space import full, known_only, on_plane, rotations
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -59,7 +59,7 @@ def read_bag(path: Path, topic: str | None, manner: Manner) -> GivenPath:
                 frames.add((message.header.frame_id, getattr(message, "child_frame_id", "")))
     file = f"{path}:{topic}"
     if of_tf:
-        return replace(on_plane(_of_tf(path, tree, pair), manner), transforms=tree)
+        return on_plane(_of_tf(path, tree, pair), manner)  # its own transforms compare it with nothing
     if not rows:
         raise DataError.at(file, "no message; at least one is needed")
     if len(frames) > 1:
@@ -67,8 +67,12 @@ def read_bag(path: Path, topic: str | None, manner: Manner) -> GivenPath:
         raise DataError.at(file, f"messages state the frames {named}; one is needed")
     told = f"{unstamped} of {len(rows)} messages have no stamp: the time of recording is taken"
     ((world, body),) = frames
-    found = _spatial(file, kinds[topic], np.array(rows), Stated(world, body, order=True), (told,) * bool(unstamped))
-    return replace(on_plane(found, manner), transforms=tree if tree.moving else None)
+    table = np.array(rows)
+    if absent := not table[:, 4:8].any():
+        table[:, 7] = 1.0
+    found = _spatial(file, kinds[topic], table, Stated(world, body, order=True), (told,) * bool(unstamped))
+    read = without_headings(on_plane(found, manner)) if absent else on_plane(found, manner)
+    return replace(read, transforms=tree if tree.moving else None)
 
 
 def _of_tf(path: Path, tree: Tree, pair: str) -> Spatial:

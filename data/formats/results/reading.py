@@ -40,6 +40,8 @@ AROUND |= frozenset(("reference", "world", "map", "odom", "rs", "r", "header", "
 AROUND |= frozenset(("hat", "ekf", "ukf", "kf", "pf", "slam"))
 """Words that may stand around the name of a column."""
 TRUE = frozenset(("gt", "true", "truth", "groundtruth"))  # Those of the true path, where a row holds both
+REFERENCE, ESTIMATED = frozenset(("ref", "reference")), frozenset(("est", "estimate", "estimated"))
+"""Those of the true path beside one of an estimate, and of that."""
 SIDES = TRUE | {"est", "estimate", "estimated", "hat", "ekf", "ukf", "kf", "pf", "slam", "odom", "ref"}
 """Of these, those that may stand behind a name."""
 NANOSECONDS = frozenset(("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds"))  # Beside seconds, or alone
@@ -132,7 +134,9 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
     for j, (role, _) in enumerate(read):
         if role and role not in place and j not in place.values():
             found.setdefault(role, []).append(j)
-    true = [bool(TRUE & set(words_of(name)[0])) for name in names]
+    words = [set(words_of(name)[0]) for name in names]
+    truly = TRUE | REFERENCE if any(each & ESTIMATED for each in words) else TRUE
+    true = [bool(truly & each) for each in words]
     both = any(len({true[j] for j in some}) > 1 for role, some in found.items() if role != "t")
     unlike = [topic for topic in several if topic.startswith("/") and "x" not in place]
     if len(unlike) > max(1, len(found.get("x", ()))):
@@ -156,7 +160,7 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
         what = f"{names[some[0]]!r} and {names[some[1]]!r} both name {role}; one of them is needed"
         typed = ",".join(f"{'truth.' * manner.true}{r}={s[0] + 1}" for r, s in unclear.items())
         raise DataError.at(text.path, f"{what}, as in --columns {typed.replace('yaw', 'theta')}", line=line or None)
-    side, k = [set(words_of(name)[0]) & SIDES for name in names], place.get("x", place.get("lat", -1))
+    side, k = [each & SIDES for each in words], place.get("x", place.get("lat", -1))
     beside = [j for j, (role, _) in enumerate(read) if role == "x" and j != k]
     if not manner.true:  # odometry has none of its own
         beside = [j for j in beside if side[k] and not true[j] and side[j] != {"odom"}]

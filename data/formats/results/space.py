@@ -14,7 +14,7 @@ import numpy as np
 from data import se3
 from data.columns.named import LENGTH
 from data.errors import DataError
-from data.formats.recordings.ros import Tree, bare, rotation_of
+from data.formats.recordings.ros import STILL, Tree, bare, rotation_of
 from data.formats.results.path import CAMERA, LEFT, LOCAL, MIXED, ROTATION, WORLD, GivenPath, Manner, Spatial, in_order
 from data.se2 import Array, wrap_angle
 
@@ -152,7 +152,7 @@ def in_frame(path: GivenPath, world: str, body: str, trees: tuple[Tree, ...]) ->
         made = replace(made, stated=replace(made.stated, world=world))
     if body and bare(s.stated.body) and bare(body) != bare(s.stated.body):
         found = next((T for tree in trees if (T := tree.between(s.stated.body, body, s.time)) is not None), None)
-        if found is None:
+        if found is None or np.ptp(found[1], axis=0).max(initial=0.0) > STILL:  # no mount: the bodies move apart
             return None
         made = _seen_from(made, *found)
         made = replace(made, stated=replace(made.stated, body=body))

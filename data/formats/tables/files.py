@@ -246,10 +246,15 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
     comma = separator in ";\t| " and any("," in f for row in rows for f in row) and not points
     shown = list(whole_names(names, rows)) if names is not None else [str(k + 1) for k in range(width)]
     for k, name in enumerate(shown):  # seconds and nanoseconds of a stamp
-        stem, _, last = name.rpartition(".")
-        j = next((shown.index(n) for n in (f"{stem}.nsecs", f"{stem}.nanosec") if n in shown), None)
-        if last in ("secs", "sec") and j is not None and all(r[j].isdecimal() for r in rows):
-            rows, shown[k] = [(*r[:k], f"{r[k]}.{int(r[j]):09d}", *r[k + 1 :]) for r in rows], stem
+        seconds = re.fullmatch(r"(.*?)([._]?)secs?", name)
+        stem, last = (seconds[1], seconds[2]) if seconds else ("", "")
+        others = [f"{stem}{last}{n}" for n in ("nsecs", "nsec", "nanosec", "nanosecs")]
+        j = next((shown.index(n) for n in others if n in shown), None)
+        if j is not None and all(r[j].isdecimal() and r[k].lstrip("-").isdecimal() for r in rows):
+            rows, shown[k] = (
+                [(*r[:k], f"{r[k]}.{int(r[j]):09d}", *r[k + 1 :]) for r in rows],
+                stem if last == "." else name,
+            )
     return TextTable(path, tuple(shown), tuple(rows), number, names is not None, comma, cut)
 
 
@@ -257,29 +262,38 @@ def _lists(
     names: tuple[str, ...] | None, rows: list[tuple[str, ...]], number: IntArray
 ) -> tuple[tuple[str, ...] | None, list[tuple[str, ...]], IntArray]:
     """Names, rows and their lines, with lists of numbers within fields of a column as columns NAME_1, NAME_2, ...: as
-    many numbers in each field, or any number of groups `(1, 2.5), (2, 0.5)` or `1:2.5;2:0.5`, as rows below, with the
-    number of their row in the column NAME.element.
+    many numbers in each field, or any number of numbers, or of groups `(1, 2.5), (2, 0.5)` or `1:2.5;2:0.5`, as rows
+    below, with the number of their row in the column NAME.element; of columns with as many in each in the same rows.
     """
+    count, below = len(rows), dict[tuple[int, ...], list[int]]()  # rows below by how many each row has
     for j in reversed(range(len(rows[0]))):
-        if not any(re.search(r"[\[({]|\d;|\d\s+[-+.\d]", row[j]) and not is_date(row[j]) for row in rows[:MANY]):
+        pattern = r"[\[({]|\d;|\d\s+[-+.\d]"
+        if not any(re.search(pattern, row[j]) and not is_date(row[j]) for row in rows[: min(MANY, count)]):
             continue
-        fields = [re.sub(r"np\.\w+\(([^()]*)\)|array", r"\1", row[j]) for row in rows]
+        fields = [re.sub(r"np\.\w+\(([^()]*)\)|array", r"\1", row[j]) for row in rows[:count]]
         groups = [re.findall(r"[\[({]([^\[\](){}]+)[\])}]", f) or f.strip("[](){}").split(";") for f in fields]
         parts = [[re.split(r"[\s,:]+", g.strip(" ,")) for g in some if g.strip(" ,")] for some in groups]
+        if max(map(len, parts)) == 1 and len({len(some[0]) for some in parts if some}) > 1:  # numbers of each in a row
+            parts = [[[number] for number in some[0]] if some else [] for some in parts]
         counts, most = {len(part) for some in parts for part in some}, max(map(len, parts))
-        if len(counts) != 1 or counts == {1} or not all(is_number(v) for some in parts for part in some for v in part):
+        if len(counts) != 1 or not all(is_number(v) for some in parts for part in some for v in part):
             continue
-        blank, stem = [("",) * counts.pop()], names[j] if names else str(j + 1)
-        each = [some or blank if most == 1 else blank for some in parts]
-        whole = [(*row[:j], *own[0], *row[j + 1 :]) for row, own in zip(rows, each, strict=True)]
-        if most > 1:
-            before, behind = ("",) * j, ("",) * (len(rows[0]) - j - 1)
-            below = [(*before, *part, *behind, str(k)) for k, some in enumerate(parts) for part in some]
-            whole = [*((*row, "") for row in whole), *below]
-            number = np.concatenate([number, np.repeat(number, list(map(len, parts)))])
-        named = [*(f"{stem}_{k}" for k in range(1, len(blank[0]) + 1))]
-        names = (*names[:j], *named, *names[j + 1 :], *[f"{stem}.{ELEMENT}"] * (most > 1)) if names else None
-        rows = whole
+        if (width := counts.pop()) == 1 and most == 1:
+            continue
+        shape, stem, blank = tuple(map(len, parts)), names[j] if names else str(j + 1), [("",) * width]
+        if most > 1 and shape not in below:
+            below[shape] = [len(rows) + k for k in range(sum(shape))]
+            rows = [(*row, "") for row in rows]
+            rows += [(*[""] * (len(rows[0]) - 1), str(k)) for k, some in enumerate(parts) for _ in some]
+            number = np.concatenate([number, np.repeat(number[:count], shape)])
+            names = (*names, f"{stem}.{ELEMENT}") if names else None
+        put = [*([tuple(some[0])] if some else blank for some in parts)] if most == 1 else [blank] * count
+        own = [*(part[0] for part in put), *blank * (len(rows) - count)]
+        for k, part in zip(below[shape], (p for some in parts for p in some), strict=True) if most > 1 else ():
+            own[k] = tuple(part)
+        rows = [(*row[:j], *part, *row[j + 1 :]) for row, part in zip(rows, own, strict=True)]
+        named = [f"{stem}_{k}" for k in range(1, width + 1)] if width > 1 else [stem]
+        names = (*names[:j], *named, *names[j + 1 :]) if names else None
     return names, rows, number
 
 
@@ -524,7 +538,7 @@ class Columns:
     """Stated column names by key `quantity` or `role.quantity`; other quantities have their own names.
 
     `offsets`: s added to the stamps of a role's file; `roles`: of files, with the names of sensors; `used`: keys that
-    named a column so far; `read`: columns (file, number) that were read; `notes`: about rows that were left out;
+    named a column so far; `read`: columns (file, name) that were read; `notes`: about rows that were left out;
     `asked`: questions that only the files raise; `datum`: latitude and longitude [deg] of the origin, of the first
     place in degrees; `origins`: of what the data tell, or nobody; `period`: s between rows of an odometry without
     stamps; `intervals`: columns (file, number) that are named as stamps and are the time between rows.
@@ -535,7 +549,7 @@ class Columns:
     offsets: Mapping[str, float] = field(default_factory=dict)
     roles: tuple[str, ...] = ROLES
     used: set[str] = field(default_factory=set)
-    read: set[tuple[Path, int]] = field(default_factory=set)
+    read: set[tuple[Path, str]] = field(default_factory=set)
     notes: list[str] = field(default_factory=list)
     asked: list[Notice] = field(default_factory=list)
     datum: list[float] = field(default_factory=list)
@@ -693,12 +707,12 @@ class Columns:
 
     def say_unused(self, files: Mapping[str, TextTable]) -> None:
         """Note the columns of named files, by role, that nothing used, with what they likely are."""
-        for file in dict.fromkeys(f for f in files.values() if f.named):
-            roles = [role for role, of in files.items() if of is file]
-            free = [q for r in roles for q in MORE.get(r, MORE["observations"]) if self.find(file, r, q) is None]
-            names = [name for c, name in enumerate(file.names) if name and (file.path, c) not in self.read]
+        for path in dict.fromkeys(f.path for f in files.values() if f.named):
+            of = {role: file for role, file in files.items() if file.path == path}
+            free = [q for r, f in of.items() for q in MORE.get(r, MORE["observations"]) if self.find(f, r, q) is None]
+            names = dict.fromkeys(n for f in of.values() for n in f.names if n and (path, n) not in self.read)
             if names:
-                self.notes.append(f"{file.path.name}: {unused(names, free)}")
+                self.notes.append(f"{path.name}: {unused([*names], free)}")
 
     def table(
         self, file: TextTable, role: str, quantities: Sequence[str], *, optional: Sequence[str] = (),
@@ -716,7 +730,7 @@ class Columns:
         for a, b in itertools.combinations([q for q in columns if q[0] != "s" and (QUANTITIES[q] or q in INSTANTS)], 2):
             if (c := columns[a]) == columns[b] and len({row[c] for row in file.rows}) > 1:
                 raise DataError.at(file.path, f"column {file.names[c]} is named for {a} and {b} of {role}; name two")
-        self.read |= {(file.path, c) for c in (*columns.values(), *named.values())}
+        self.read |= {(file.path, file.names[c]) for c in (*columns.values(), *named.values())}
         empty = np.ones(len(file), bool)
         for q in quantities:
             if q not in INSTANTS:
@@ -758,7 +772,7 @@ class Columns:
                 half = np.array(file.text(beside := (columns[q] + 1) % len(file.names), keep))
                 if {*sides} >= set(half.tolist()):
                     place[half == sides[1], k] = -np.abs(place[half == sides[1], k])
-                    self.read.add((file.path, beside))
+                    self.read.add((file.path, file.names[beside]))
             if self.units.factor(role, "lat") != 1.0 and not np.nanmax(np.abs(place[:, 0]), initial=0.0) <= 90.0:
                 raise DataError.at(file.path, "latitudes beyond 90 deg in the stated unit; is lat=deg,lon=deg right?")
             metres, datum, said = on_plane(file.path, place, self.datum)

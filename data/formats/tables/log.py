@@ -119,8 +119,8 @@ def read_fixes(file: TextTable, wanted: Wanted, odometry: Odometry, notes: list[
         what = f"no fixes: {file.described()}; x and y, or a heading theta, or both are needed"
         raise DataError.at(file.path, f"{what}; name them as in --columns fixes.x=EAST,fixes.y=NORTH")
     default, typed = wanted.fix_sigma, {key.removeprefix("fixes.") for key in columns.given}
-    alone = {"x", "y"} <= typed and not typed & {"theta", *QUATERNION}
-    known = default is None or not np.isnan(default[2]) or columns.find(file, role, "stheta") is not None
+    alone = ({"x", "y"} <= typed or {"lat", "lon"} <= typed) and not typed & {"theta", *QUATERNION}
+    known = (default is not None and not np.isnan(default[2])) or columns.find(file, role, "stheta") is not None
     if heading and alone and not known:
         named = ",".join(file.names[columns.find(file, role, q) or 0] for q in heading)
         why = "as --columns names x and y alone, and --fix-sigma their noise (SX,SY,STHETA reads it, too)"
@@ -197,7 +197,7 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
         notes.append(f"{file.path.name}: {skipped} rows without an observation")
     for quantity, flag in LOOKS.items():
         if quantity not in of.looked and (column := columns.find(file, role, quantity)) is not None:
-            columns.read.add((file.path, column))
+            columns.read.add((file.path, file.names[column]))
             notes.append(f"{file.path.name}: column {quantity} is not used; --{flag} uses it")
     z = np.zeros((len(table), 2))
     z[:, [1] if values == ("bearing",) else list(range(len(values)))] = table.stack(values)
@@ -313,7 +313,7 @@ def _between(wanted: Wanted) -> bool:
         return False
     ends = [c for q in ("frame1", "frame2") if (c := columns.find(file, "odometry", q)) is not None]
     if len(ends) == 2:
-        columns.read |= {(file.path, c) for c in ends}
+        columns.read |= {(file.path, file.names[c]) for c in ends}
         first, last = (n[np.isfinite(n)] for n in (file.numbers(c, np.ones(len(file), bool)) for c in ends))
         return bool((last == first + 1.0).all() and (np.diff(first) == 1.0).all())
     places = [(file, columns.find(file, "odometry", "dx"))]
@@ -331,7 +331,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     columns, texts, notes = wanted.columns, wanted.texts, wanted.columns.notes
     between = wanted.kind == "steps" and _between(wanted)
     odometry = read_odometry(texts["odometry"], columns, wanted.kind, wanted.wheels, between=between)
-    if wanted.backward:
+    if wanted.backward and odometry.velocities:
         odometry = odometry.held_backward()
     parts = [read_observations(texts[sensor.role], sensor, wanted, odometry, notes) for sensor in wanted.sensors]
     if odometry.velocities:
@@ -534,7 +534,9 @@ def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePose
     columns = wanted.columns
     pose = pose_columns(file, columns, "truth")
     by_stamp = odometry.stamped and columns.find(file, "truth", "t") is not None
-    wants = (*(("t",) if by_stamp else ()), *pose)
+    frame = columns.find(file, "truth", "frame") if not by_stamp and file is not wanted.texts["odometry"] else None
+    by_frame = frame is not None and (columns.stated("truth", ("frame",)) or "." not in file.names[frame])
+    wants = (*(("t",) if by_stamp else ("frame",) if by_frame else ()), *pose)
     table, _ = columns.table(file, "truth", wants, may_be_blank=pose)
     values = table.columns
     unit = columns.units.factor("truth", "theta")
@@ -554,6 +556,10 @@ def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePose
             some = f"{more} of {len(world)} true poses share their stamp with the next one, which is used"
             columns.notes.append(f"{file.path.name}: {some}")
         return TruePoses(values["t"][keep], world[keep])
+    if by_frame:
+        at = _at(table, ("frame",), False, odometry, columns.notes)[:, 0]
+        by = np.argsort(at, kind="stable")
+        return TruePoses(at[by], world[by])
     if len(world) != len(odometry.rows):
         known = np.flatnonzero(np.isfinite(world[:, 0]))
         world = world[: known[-1] + 1] if len(known) else world  # columns of other lengths beside it

@@ -46,6 +46,7 @@ class Wheels:
     each: bool = False
     wrap: int = 0
     rate: bool = False
+    backward: bool = False  # rates hold since the row before
 
 
 class StepNoise(NamedTuple):
@@ -109,6 +110,7 @@ class Odometry:
 
 def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | None = None) -> str:
     """The only kind of odometry whose columns a file has, v and omega before poses; DataError for none or several."""
+    notes, columns = columns.notes, columns.quiet
     pose = {"poses": pose_columns(file, columns, role), "steps": ("dx", "dtheta")}
     if columns.stated(role, ("vy",)) or "vy" in columns.given:
         return "sideways"
@@ -120,7 +122,7 @@ def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | Non
     if len(named or found) == 1:
         return (named or found)[0]
     if named == ["velocities", "poses"] and not stated:
-        columns.notes.append(f"{file.path.name}: {role} is v and omega; --{role}-kind poses reads x, y, theta instead")
+        notes.append(f"{file.path.name}: {role} is v and omega; --{role}-kind poses reads x, y, theta instead")
         return named[0]
     listed = "; ".join(f"{k} ({', '.join(qs)})" for k, qs in KINDS.items())
     if not found:
@@ -281,7 +283,7 @@ def _rolled(ticks: Array, wheels: Wheels, time: Array) -> Array:
     turned = ticks.copy() if wheels.each else np.diff(ticks, axis=0, prepend=ticks[:1])
     turned[0] = 0.0
     if wheels.rate:
-        turned[1:] = ticks[:-1] * np.diff(time)[:, None]
+        turned[1:] = (ticks[1:] if wheels.backward else ticks[:-1]) * np.diff(time)[:, None]
     if wheels.wrap:
         turned = (turned + 0.5 * wheels.wrap) % wheels.wrap - 0.5 * wheels.wrap
     way = turned * np.array(wheels.metres)

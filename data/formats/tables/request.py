@@ -10,6 +10,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -143,13 +144,18 @@ def sensors_of(given: Given, files: Mapping[str, TextTable], columns: Columns, k
     truth = files.get("truth")
     taken = {role for role in roles if (kind == "poses" and files[role] is files["odometry"])
              or columns.taken(files[role], role, ("x", "y"), truth)}  # fmt: skip
-    return tuple(_sensor(r, r if names else "", texts, files[r], columns, r in taken) for r in roles)
+    free = truth is not None and not names and len(texts) == 1 and files.get(OBSERVATIONS) is files["odometry"]
+    each = (_sensor(r, r if names else "", texts, files[r], columns, r in taken, free=free) for r in roles)
+    return tuple(of for of in each if of is not None)
 
 
 def _sensor(
-    role: str, name: str, texts: Mapping[str, Mapping[str, str]], file: TextTable, columns: Columns, taken: bool
-) -> TableSensor:
-    """One of them, by what is stated of it, or else of all; `taken`: x and y are the odometry's or the truth's."""
+    role: str, name: str, texts: Mapping[str, Mapping[str, str]], file: TextTable, columns: Columns, taken: bool,
+    *, free: bool = False,
+) -> TableSensor | None:  # fmt: skip
+    """One of them, by what is stated of it, or else of all; `taken`: x and y are the odometry's or the truth's; `free`:
+    none where there are no columns, which is noted.
+    """
     of = {flag: found.get(name, found.get("")) for flag, found in texts.items()}
     found = [q for q in ("range", "bearing") if columns.find(file, role, q) is not None]
     stated = of.get("observation-sigma")
@@ -164,7 +170,11 @@ def _sensor(
         where += f"; of scans --scans {file.path}" * any(n >= SCANNED for n in numbered.values())
         a, b = ("DIST", "ANGLE", *(name for name in file.names if file.named and name.isdecimal()))[-2:]
         where += f"; of a column for each landmark as in --columns {own}range={star}" * bool(star)
-        raise DataError.at(file.path, f"{what}; name them as in --columns {own}range={a},{own}bearing={b}, {where}")
+        what += f"; name them as in --columns {own}range={a},{own}bearing={b}, {where}"
+        if free:
+            columns.notes.append(f"{file.path.name}: odometry and truth alone: {what}")
+            return None
+        raise DataError.at(file.path, what)
     sees = of.get("sees") or ""
     if "sees" in of and not is_name(sees):
         raise UsageError(f"--sees {sees}: a kind of landmark is needed, as in tree")
@@ -366,6 +376,8 @@ def settle(given: Given) -> Wanted:
         if free and (stars := table_files.stars(texts[role])):
             columns.notes.append(f"inferred: --columns {','.join(f'{q}={n}' for q, n in stars.items())}")
         if role in texts and stars:
+            file = texts[role]
+            columns.read |= {(file.path, n) for n in file.names for star in stars.values() if fnmatchcase(n, star)}
             texts[role] = table_files.unpivoted(texts[role], stars)
             if not {"label", "true_id"} & {*texts[role].names}:
                 told = "filled from the left, so they are no labels (--columns label=NAME* names some)"
@@ -373,7 +385,7 @@ def settle(given: Given) -> Wanted:
             taken = {*stars.values(), *(stated[q] for q in deep)}
             columns.given = {k: n for k, n in columns.given.items() if n not in taken}
     for flag in ("hold", "integrate"):
-        if flag in given and kind not in STAMPED_KINDS:
+        if flag in given and kind not in STAMPED_KINDS and (flag, given.get("ticks")) != ("hold", "rate"):
             raise UsageError(f"--{flag} {given[flag]}: for velocities; the odometry has {kind}")
     second, starts = _second(given, texts, columns), "truth" in files and "prior" not in given
     if starts:
@@ -392,7 +404,7 @@ def settle(given: Given) -> Wanted:
         every_row=table_files.one_of(given, "frames", ("observations", "odometry")) == "odometry",
         sensed=bool(given.get("labels-sensed", False)),
         backward=table_files.one_of(given, "hold", ("forward", "backward")) == "backward", second=second,
-        scanner=numbers_of(given, "scanner"),
+        scanner=_scanner(given),
         mount=numbers_of({**given, "sensor-pose": poses.get(SCANS, poses.get(""))}, "sensor-pose"),
         assumed=("odometry_noise",) * ("odometry-sigma" not in given) + ("prior",) * starts,
         **_of_fixes(given, files),
@@ -428,6 +440,13 @@ def _of_fixes(given: Given, files: Mapping[str, Path]) -> dict[str, Any]:
     if (rotation := numbers_of(given, "fix-rotation")) is not None:
         found["fix_rotation"] = float(rotation[0])
     return found
+
+
+def _scanner(given: Given) -> Array | None:
+    """First angle, step [rad] and reach [m] of a scanner, or the angles of all beams and the reach."""
+    if "scanner" not in given or len(parts := table_files.words(given["scanner"])) < 4:
+        return numbers_of(given, "scanner")
+    return _numbers(given, "scanner", ("angle",) * (len(parts) - 1) + ("length",), "all angles and the reach")
 
 
 def _offsets(given: Given, files: Mapping[str, Path], sensors: Collection[str]) -> dict[str, float]:
@@ -466,7 +485,8 @@ def _wheels(given: Given, kind: str) -> Wheels | None:
     if not wrap.isdecimal():
         raise UsageError(f"--tick-wrap {wrap}: a whole number of ticks is needed, as in 65536")
     count = table_files.one_of(given, "ticks", ("total", "each", "rate"))
-    return Wheels(width, (float(metres[0]), float(metres[-1])), count == "each", int(wrap), count == "rate")
+    each, rate, backward = count == "each", count == "rate", given.get("hold") == "backward"
+    return Wheels(width, (float(metres[0]), float(metres[-1])), each, int(wrap), rate, backward)
 
 
 def _second(given: Given, texts: Mapping[str, TextTable], columns: Columns) -> Second | None:

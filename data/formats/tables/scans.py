@@ -13,6 +13,7 @@ from data.errors import DataError, UsageError
 from data.formats.bags import GEOMETRY, Collected, LaserScans, scans_of
 from data.formats.tables.files import Columns, TextTable, stem_of
 from data.formats.tables.motion import Odometry
+from data.inputs import IntArray
 from data.se2 import Array
 
 RANGE = re.compile(r"(?:.*[._])?ranges?[._\[]?\d+\]?")
@@ -37,6 +38,10 @@ def read_scans(
     if first is not None:  # of an array named Z those named Z_1, Z_2, ...
         stem = file.names[first].rstrip("0123456789")
         beams = [k for k in range(first, len(file.names)) if k != t and (not stem or file.names[k].startswith(stem))]
+        ends = {k: name.removeprefix(stem) for k, name in enumerate(file.names) if stem and name.startswith(stem)}
+        number = {k: int(end) for k, end in ends.items() if end.isdecimal()}
+        if {*beams} <= {*number}:  # arrays may be stored in another order
+            beams = sorted((k for k in number if number[k] >= number[first]), key=number.__getitem__)
     listed = at.get("ranges") if not beams else None  # in one field
     if not beams and listed is None:  # the only array of many numbers
         wide = [names for _, run in groupby(file.names, key=stem_of) if len(names := list(run)) >= BEAMS]
@@ -56,6 +61,9 @@ def read_scans(
     if scanner is None and not {*STATED} <= {*at}:
         what = f"{file.path.name} names no {', '.join(name for name in STATED if name not in at)}"
         raise UsageError(f"--scanner LOW,STEP,MAX, as in -90deg,0.5deg,8m, is needed: {what}")
+    slots: IntArray = np.arange(len(beams))
+    if scanner is not None and len(scanner) > 3:
+        slots, scanner = _uneven(scanner, len(beams))
     if scanner is not None and (len(beams) - 1.5) * abs(scanner[1]) > 2.0 * np.pi:
         what = f"{len(beams)} beams, {math.degrees(scanner[1]):.4g} deg apart, pass a full turn"
         raise UsageError(f"--scanner: {what}; are there intensities between the ranges? Leave their columns out")
@@ -66,6 +74,9 @@ def read_scans(
     given = {} if scanner is None else dict(zip(STATED, scanner.tolist(), strict=True))
     for k, (row, line) in enumerate(zip(file.rows, file.line.tolist(), strict=True)):
         fields = [row[j] or "nan" for j in beams] if listed is None else row[listed].strip("()[] ").split(",")
+        if (slots != range(len(slots))).any():
+            each = dict(zip(slots.tolist(), fields, strict=True))
+            fields = [each.get(slot, "nan") for slot in range(max(each) + 1)]
         if (wrong := next((f for f in fields if not is_number(f)), None)) is not None:
             raise DataError.at(file.path, f"{wrong!r} is not a number", line=line)
         own = {name: float(row[at[name]]) for name in GEOMETRY if name in at and is_number(row[at[name]])}
@@ -76,12 +87,26 @@ def read_scans(
         found.scans.add(message, float(stamp[k]), f"{file.path}:{line}")
     t = columns.find(file, "scans", "t")  # of a file without names it may be known by now
     used = (*beams, *(at[n] for n in GEOMETRY if n in at), t)
-    columns.read |= {(file.path, k) for k in used if k is not None}
+    columns.read |= {(file.path, file.names[k]) for k in used if k is not None}
     if mount is not None:
         turned = (0.0, 0.0, math.sin(0.5 * mount[2]), math.cos(0.5 * mount[2]))
         found.tree.add("", header.frame_id, 0.0, (*mount[:2].tolist(), 0.0, *turned), static=True)
     seen = scans_of(file.path, (), found, "", (-math.inf, math.inf))  # the caller drops some
     return seen, Table(file.path, {"t": seen.stamp}, line=np.arange(1, len(seen.stamp) + 1))
+
+
+def _uneven(scanner: Array, beams: int) -> tuple[IntArray, Array]:
+    """The place of each beam of stated angles (beams + 1,), reach last, among angles at equal steps, and their first
+    angle, step and reach. UsageError where no step of the smallest gap, or up to a twentieth of it, fits all angles.
+    """
+    angles, reach = scanner[:-1], scanner[-1]
+    off = angles - angles.min()
+    gap = float(np.diff(np.sort(angles)).min()) if len(angles) == beams else 0.0
+    fine = [gap / k for k in range(1, 21) if gap and np.abs(off * k / gap - np.rint(off * k / gap)).max() < 0.02]
+    if not fine:
+        what = f"{len(angles)} angles for {beams} beams; LOW,STEP,MAX, or an angle for each and the reach, is needed"
+        raise UsageError(f"--scanner: {what}")
+    return np.rint(off / fine[0]).astype(np.int64), np.array([angles.min(), fine[0], reach])
 
 
 def _folded(file: TextTable, beam: int, columns: Columns, odometry: Odometry) -> tuple[TextTable, list[int], Array]:

@@ -15,7 +15,7 @@ from data.inputs import Increment, Prior, Scanner
 from data.se2 import Array, between, compose, pose_error, wrap_angle
 from wings.laser.pose_graph import PoseGraph
 from wings.laser.scans.matching import Match, MotionPrior, NearestGrid, Pyramid, best_pose, match, pyramid
-from wings.laser.scans.points import Points, beams_of, joined, scan_points
+from wings.laser.scans.points import FEWEST_BEAMS, Points, beams_of, joined, scan_points
 from wings.laser.scans.uncertainty import compose_covariances
 from wings.laser.slam.closures import Closure, LoopCloser
 from wings.laser.slam.parameters import LaserParameters
@@ -225,7 +225,7 @@ class ScanSlam:
         if increment is not None:
             tracker.predict(*increment, seconds)
         seen = scan_points(self._nothing if ranges is None else ranges, self._beams, self.parameters.max_range)
-        if ranges is not None:
+        if ranges is not None and len(ranges) >= FEWEST_BEAMS:
             tracker.correct(seen)
         if frame == 0 or (ranges is not None and tracker.is_due):
             self._key(frame, self._nothing if ranges is None else ranges, seen)
@@ -254,7 +254,7 @@ class ScanSlam:
         self.covariances.append(covariance)
         self.closer.add_key(ranges, seen, motion, covariance)
         self.tracker.make_key(seen)
-        believed = self.closer.find(self.poses)
+        believed = self.closer.find(self.poses) if len(ranges) >= FEWEST_BEAMS else []
         if believed:
             self._graph.add_loops(
                 np.array([c.key1 for c in believed]), np.array([c.key2 for c in believed]),
