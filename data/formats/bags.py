@@ -438,6 +438,8 @@ def odometry_of(path: Path, topics: Sequence[Topic], found: Collected) -> tuple[
             ways += [f"{others}: {OTHERWISE}"] * bool(others)
             ways += [f"slamref convert rosbag {path} LOG --no-odometry: scans alone"] * bool(found.scans.ranges)
             what = "neither a topic of odometry nor a moving transform of the robot; one is needed"
+            paths = [f"{path}:/tf:{m.parent}.{child}" for child, m in moving.items() if m.moves]
+            ways += [f"as paths slamref score reads {', '.join(paths)}"] * bool(paths)
             raise DataError.at(path, f"{what}{': ' * bool(ways)}{', or '.join(ways)}")
         topic, robot = TF, max(named, key=lambda child: (moving[child].moves, len(moving[child].stamp)))
         stamp = np.array(moving[robot].stamp)

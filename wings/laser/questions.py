@@ -167,8 +167,8 @@ FEW_RETURNS = 0.02  # Share of beams with a return below which nothing can be ma
 def returns(_: Log, scans: Scans) -> list[Notice]:
     """Scans almost without returns: another unit, or a maximum that is too small."""
     share = float((scans.ranges > 0.0).mean())
-    if scans.ranges.shape[1] < FEWEST_BEAMS:
-        return [notice(Code.FEW_BEAMS, beams=scans.ranges.shape[1], least=FEWEST_BEAMS)]
+    if 0 < (beams := int(scans.ranges.any(axis=0).sum())) < FEWEST_BEAMS:
+        return [notice(Code.FEW_BEAMS, beams=beams, least=FEWEST_BEAMS)]
     return [] if share > FEW_RETURNS else [notice(Code.FEW_RETURNS, share=share, max_range=scans.scanner.max_range)]
 
 

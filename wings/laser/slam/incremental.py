@@ -213,6 +213,7 @@ class ScanSlam:
         self.tracker = Tracker(parameters, scanner.sigma, steady=steady)
         self._prior, self._graph = prior, PoseGraph(prior)
         self._beams, self._nothing = beams_of(scanner, beams), np.zeros(beams)
+        self.matched = beams >= FEWEST_BEAMS
         self._waiting, self._far, self._updated, self._count = False, False, 0, 0
         self._covariance = prior.covariance if with_covariance else None
 
@@ -225,7 +226,7 @@ class ScanSlam:
         if increment is not None:
             tracker.predict(*increment, seconds)
         seen = scan_points(self._nothing if ranges is None else ranges, self._beams, self.parameters.max_range)
-        if ranges is not None and len(ranges) >= FEWEST_BEAMS:
+        if ranges is not None and self.matched:
             tracker.correct(seen)
         if frame == 0 or (ranges is not None and tracker.is_due):
             self._key(frame, self._nothing if ranges is None else ranges, seen)
@@ -254,7 +255,7 @@ class ScanSlam:
         self.covariances.append(covariance)
         self.closer.add_key(ranges, seen, motion, covariance)
         self.tracker.make_key(seen)
-        believed = self.closer.find(self.poses) if len(ranges) >= FEWEST_BEAMS else []
+        believed = self.closer.find(self.poses) if self.matched else []
         if believed:
             self._graph.add_loops(
                 np.array([c.key1 for c in believed]), np.array([c.key2 for c in believed]),
