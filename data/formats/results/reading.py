@@ -17,7 +17,7 @@ from data.dates import EXAMPLE, IN_SECONDS, ISO, is_date, seconds_of, unit_of
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean
 from data.formats.arrays import is_arrays
-from data.formats.messages import whole_names
+from data.formats.messages import file_and_word, whole_names
 from data.formats.results import lines
 from data.formats.results import path as paths
 from data.formats.results.bags import file_and_topic, is_bag, read_bag
@@ -689,7 +689,7 @@ def likely(fields: Sequence[Sequence[str]]) -> dict[str, str]:
 
 def holds_both(name: str) -> bool:
     """Whether the rows of a file name a true position, too."""
-    if is_bag(Path(name)) or not Path(name).is_file():
+    if is_bag(Path(name)) or not file_and_word(Path(name))[0].is_file():
         return False
     try:
         found = [header_names(lines.read_text(Path(name)), Manner(true=side)) for side in (False, True)]
