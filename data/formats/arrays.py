@@ -1,7 +1,9 @@
 """Files of arrays as tables: MATLAB's, Octave's texts, numpy's, JSON, and pickles, of which no code runs."""
 
 import json
+import math
 import pickle
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
@@ -106,11 +108,22 @@ def _plain(value: Any) -> Any:
         if each and all(isinstance(item, dict) for item in each):
             flat = [_flat(item) for item in each]
             keys = dict.fromkeys(key for item in flat for key in item)
-            return [{key: item.get(key, np.array(np.nan)) for key in keys} for item in flat]
+            columns = {key: _alike([item.get(key, np.array(np.nan)) for item in flat]) for key in keys}
+            return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
         alike = len({np.shape(item) for item in each if not isinstance(item, list | dict)}) == 1
         return np.array(each) if alike and isinstance(each[0], np.ndarray) else [{"": item} for item in each]
     number = isinstance(value, str) and is_number(value)
     return np.asarray(float(value) if number else np.nan if value is None else value)
+
+
+def _alike(values: list[Any]) -> list[Any]:
+    """Values of a field in the shape that most have, where others are as many numbers, or one (as None and False)."""
+    shapes = Counter(np.shape(v) for v in values if isinstance(v, np.ndarray))
+    usual = shapes.most_common(1)[0][0] if shapes else ()
+    usual, count = ((), 1) if math.prod(usual) == 1 else (usual, math.prod(usual))
+    if sum(shapes.values()) < len(values) or not all(math.prod(shape) in (1, count) for shape in shapes):
+        return values
+    return [v.reshape(usual) if v.size == count else np.full(usual, np.nan) for v in values]
 
 
 def _flat(value: Mapping[str, Any], within: str = "") -> dict[str, Any]:
@@ -137,7 +150,8 @@ def columns_of(
     """
     path, word = file_and_word(path)
     found = named(path)
-    structs = [name for name, value in found.items() if isinstance(value, dict) or _are_structs(value)]
+    structs = [name for name, value in found.items() if isinstance(value, dict) or
+               (isinstance(value, list) and any(key for struct in value for key in struct))]  # fmt: skip
     along = {np.size(value) for name, value in found.items() if name.lower() in STAMP and kind_of(value) == "numbers"}
     columns: Columns = {}
     for name, value in found.items():
@@ -161,10 +175,6 @@ def columns_of(
         has = ", ".join([*(n for n in found if n not in deep), *solid])
         raise DataError.at(path, f"no vector of numbers; it has {has or 'nothing'}")
     return tuple(columns), rows
-
-
-def _are_structs(value: Any) -> bool:
-    return isinstance(value, list) and any(key for struct in value for key in struct)
 
 
 Columns = dict[str, list[str]]

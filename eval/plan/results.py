@@ -172,6 +172,9 @@ def true_path(file: str, names: Sequence[str], reading: Matching, *, rows: bool 
 def truth_of(log: Log, path: GivenPath | None) -> TruePath | None:
     """The truth at its own stamps: that of a file, else of the log, else None."""
     if path is not None:
+        if path.clock.by == paths.ROWS and len(path.time) != len(log.recorded):
+            what = f"{len(path.time)} poses without stamps, {len(log.recorded)} frames: which belong together?"
+            raise DataError.at(path.file, f"{what} A pose for each frame, or --times truth=FILE, a stamp [s] a line")
         return TruePath.of(path)
     return None if log.truth.pose is None else TruePath(log.recorded.time, log.truth.pose)
 

@@ -60,12 +60,8 @@ def converted(tmp_path):
         (tmp_path / "truth.csv").write_text("t,x,y,theta\n" + rows((np.array(poses) + noise)[::every]))
         (tmp_path / "map.csv").write_text("x,y\n" + rows(landmarks))
         words = [
-            "table",
-            str(tmp_path / "odo.csv"),
-            str(tmp_path / "log"),
-            "--observations",
-            str(tmp_path / "seen.csv"),
-        ]
+            "table", str(tmp_path / "odo.csv"), str(tmp_path / "log"), "--observations", str(tmp_path / "seen.csv"),
+        ]  # fmt: skip
         words += ["--truth", str(tmp_path / "truth.csv"), "--prior", "truth"] if truth else []
         words += ["--map", str(tmp_path / "map.csv")] if known else []
         assert main([*words, *SIGMAS, "--prior-sigma", ".01,.01,.3deg", *flags]) == 0

@@ -12,13 +12,9 @@ from data.sensors import LINE, MIN_RANGE, Line, RangeBearing, RelativePoint, res
 from tests.quick import examples
 
 SENSORS = [
-    RangeBearing(),
-    RelativePoint(),
-    RangeBearing(rotation=0.4, translation=(0.2, -0.1)),
-    RelativePoint(rotation=-1.5, translation=(0.0, 0.3)),
-    Line(),
-    Line(rotation=0.4, translation=(0.2, -0.1)),
-]
+    RangeBearing(), RelativePoint(), RangeBearing(rotation=0.4, translation=(0.2, -0.1)),
+    RelativePoint(rotation=-1.5, translation=(0.0, 0.3)), Line(), Line(rotation=0.4, translation=(0.2, -0.1)),
+]  # fmt: skip
 angle = st.floats(-math.pi, math.pi)
 coordinate = st.floats(-20, 20)
 

@@ -72,13 +72,7 @@ STEPS = {
         "EKF localization", "localization", NOISE, (2.0, 3.0), 0.01 * FULL, (1854.026, 0.157865), skip_led_by=6
     ),
     2: Tutorial(
-        "the same, unknown labels",
-        "localization",
-        NOISE,
-        (0.43, 0.6),
-        0.01 * np.eye(3),
-        (101128.9, 1.161246),
-        "ml",
+        "the same, unknown labels", "localization", NOISE, (0.43, 0.6), 0.01 * np.eye(3), (101128.9, 1.161246), "ml",
         None,
     ),
     3: Tutorial(
@@ -88,11 +82,9 @@ STEPS = {
     ),
     4: Tutorial(
         *("the same, unknown labels", "slam", (0.11, *SLAM[1:]), (11.7**0.5, 0.18**0.5), 0.001 * FULL),
-        (197435.4, 1.629073),
-        "ml-ratio",
-        options=FilterOptions(new_variance_per_square=1.0 / 130.0),
+        (197435.4, 1.629073), "ml-ratio", options=FilterOptions(new_variance_per_square=1.0 / 130.0),
     ),
-}
+}  # fmt: skip
 
 
 class GainFromBefore(EkfLocalizer):

@@ -88,12 +88,19 @@ def load_course(path: Path, name: str, world: Path | None, turns: ArrayLike, see
     J[:, 0, 1], J[:, 1, 1], J[:, 2, 2] = np.cos(r1), np.sin(r1), 1.0
     P = J @ np.diag(np.square(turns)) @ J.transpose(0, 2, 1)
     R = np.broadcast_to(np.diag(np.square(seen_sigma)), (len(seen), 2, 2)).copy()
-    log = _log(name, mean, P, Observations(frame, z, R), RangeBearing)
+    log, ids = _log(name, mean, P, Observations(frame, z, R), RangeBearing), seen.integers("id", -1)
+    notes = (f"Left out: {counted(left_out, 'observation')} with a negative range.",) * (left_out > 0)
+    again = len(ids) - len(np.unique(np.column_stack([frame, ids]), axis=0))
+    if unnamed := again > REPEATED * len(ids):
+        notes += (f"Ids name no landmarks: {again} of {len(ids)} repeat one of their frame.",)
     return replace(
         log, recorded=replace(log.recorded, map=None if world is None else _map(world)),
-        truth=Truth(landmark_of=_known(seen.integers("id", -1))), source={"kind": "course", **source_file(path)},
-        notes=(f"Left out: {counted(left_out, 'observation')} with a negative range.",) * (left_out > 0),
+        truth=Truth(landmark_of=None if unnamed else _known(ids)), source={"kind": "course", **source_file(path)},
+        notes=notes,
     )  # fmt: skip
+
+
+REPEATED = 0.2  # Share of observations with the id of another one of their frame, beyond which ids are no labels
 
 
 def _map(path: Path) -> LandmarkMap:

@@ -14,7 +14,7 @@ import numpy as np
 
 from data.csv_table import cut_off, is_number, symmetric
 from data.errors import LARGEST, DataError, UsageError
-from data.formats.arrays import columns_of, is_arrays
+from data.formats.arrays import ELEMENT, columns_of, is_arrays
 from data.formats.messages import cut_end, file_and_word, kinds_of, numbered_rows, with_word
 from data.formats.results import path as paths
 from data.formats.results.space import UNIT, full, known_only, on_plane, rotations, translation_first
@@ -77,6 +77,8 @@ def read_text(path: Path) -> Text:
     """Split a file at commas or semicolons if its first data line has any, else at blanks; `#`, `%` begin comments."""
     if is_arrays(path):
         names, rows = columns_of(path)
+        if ELEMENT in names:  # rows below hold what is within an object
+            rows = tuple(row for row in rows if not row[names.index(ELEMENT)])
         return Text(path, (names, *rows), tuple(range(len(rows) + 1)), (), True, {})
     file, word = file_and_word(path)
     try:
@@ -97,6 +99,10 @@ def read_text(path: Path) -> Text:
     ended = fields[0][-1] == "" or len(fields[0]) < len(fields[-1])  # a last column with a name may be blank
     if separator is not None and ended and all(f[-1] == "" for f in fields[1:] or fields):  # a comma ends every line
         fields = tuple(f[:-1] if f[-1] == "" else f for f in fields)
+    heads = [sum(map(is_number, f)) for f in fields[:3]]
+    title = ""
+    if len(fields) > 3 and not heads[1] and len(fields[0]) != len(fields[1]) == len(fields[2]) == heads[2]:
+        title, fields, data = f"line {data[0][0]} is a title above the names, and left out", fields[1:], data[1:]
     if cut := cut_end(fields, data[-1][0]):
         fields, data = fields[:-1], data[:-1]
     header: dict[str, tuple[int, str]] = {}
@@ -106,6 +112,7 @@ def read_text(path: Path) -> Text:
             if key.upper() in header:
                 raise DataError.at(path, f"{key} is stated twice; once is needed", line=number)
             header[key.upper()] = number, value.strip()
+    cut = "; ".join(filter(None, (title, cut)))
     return Text(path, fields, tuple(i for i, _ in data), comments, separator is not None, header, cut)
 
 
@@ -238,7 +245,18 @@ def times_of(
     text: Text, stamps: Array, manner: paths.Manner, clock: paths.Clock | None = None,
     *, unit: str | None = None, usual: str = "s", column: int = 0,
 ) -> tuple[Array, paths.Clock]:  # fmt: skip
-    """Times (n,) [s] of stamps (n,) in a column of a file, and their clock: given, of a flag, stated, or inferred."""
+    """Times (n,) [s] of stamps (n,) in a column of a file, and their clock: given, of a flag, stated, or inferred. Of a
+    file without stamps those of `manner.times`, one a line; UsageError where the file has some.
+    """
+    if manner.times is not None and text.path != manner.times:
+        if column != UNSTAMPED:
+            raise UsageError(f"--times {manner.times}: {text.path} has stamps of its own")
+        side = read_text(manner.times)
+        raw = numbers(side, ("t",), huge=("t",))[:, 0]
+        if len(raw) != len(stamps):
+            what = f"{len(raw)} stamps for the {len(stamps)} poses of {text.path}; one each is needed"
+            raise DataError.at(manner.times, what)
+        return times_of(side, raw, manner)
     known = np.flatnonzero(np.isfinite(stamps))  # DataError where they decrease
     back = np.flatnonzero(np.diff(stamps[known]) < 0.0)
     if len(back):
@@ -303,13 +321,12 @@ def read_kitti(text: Text, manner: paths.Manner) -> paths.GivenPath:
             raise UsageError(f"--unit {manner.stamps}: {what}")
         time, clock = np.arange(len(rows), dtype=float), paths.Clock("s", paths.ROWS)
     else:
-        stamps = read_text(manner.times)
-        raw = numbers(stamps, ("t",), huge=("t",))[:, 0]
-        if len(raw) != len(rows):
-            what = f"{len(raw)} stamps for the {len(rows)} poses of {text.path}; one each is needed"
-            raise DataError.at(manner.times, what)
-        time, clock = times_of(stamps, raw, manner)
+        time, clock = times_of(text, np.arange(len(rows), dtype=float), manner, column=UNSTAMPED)
     file, R = str(text.path), rows[:, :, :3]
+    wide, notes = np.ptp(rows[:, :, 3], axis=0), tuple[str, ...]()
+    if stamped and manner.axes is None and (time % 1.0 == 0.0).all() and FLAT * wide[1] < min(wide[0], wide[2]):
+        notes = ("inferred: its axes are a camera's, as y is by far the flattest one, and its stamps are numbers",)
+        manner, stamped = replace(manner, axes=paths.CAMERA), False
     off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
     bad = np.flatnonzero((off > UNIT) | (np.linalg.det(R) < 0.0))
     if len(bad):
@@ -317,7 +334,12 @@ def read_kitti(text: Text, manner: paths.Manner) -> paths.GivenPath:
     usual = manner.axes is None and not stamped
     axes = "a camera's axes" if usual else f"a {manner.axes or 'robot'}'s axes"
     kind, stated = f"KITTI poses in {axes}, {clock.words}", paths.Stated(axes=usual)
-    return on_plane(paths.Spatial(file, kind, time, rows[:, :, 3], R, None, "", text.place, stated, (), clock), manner)
+    return on_plane(
+        paths.Spatial(file, kind, time, rows[:, :, 3], R, None, "", text.place, stated, notes, clock), manner
+    )
+
+
+FLAT = 4.0  # Times as long as the height of a path is its way in a camera's axes, at least
 
 
 def read_euroc(text: Text, manner: paths.Manner) -> paths.GivenPath:

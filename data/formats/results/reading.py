@@ -519,13 +519,13 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
         return found
     path, topic = file_and_topic(name)
     if is_bag(path):
-        found, cov, times = read_bag(path, topic, manner), False, False
+        found, cov = read_bag(path, topic, manner), False
     elif path.is_dir():
         raise DataError.at(path, "a folder; a result is a file, or the folder of a run with online.csv or final.csv")
     else:
         text = _without_words(_matrices(lines.read_text(path), manner), manner)
         read = _reader(text, manner)
-        found, cov, times = read(text, manner), read is lines.read_tum, read is lines.read_kitti
+        found, cov = read(text, manner), read is lines.read_tum
         found = replace(found, notes=(*found.notes, text.cut)) if text.cut else found
     raw = found.headings
     if raw is not None and in_degrees(np.column_stack([found.pose[:, :2], raw])):
@@ -534,8 +534,6 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
         return replace(read_again, notes=(*read_again.notes, told))
     if manner.cov is not None and not cov:
         raise UsageError(f"--cov {manner.cov}: {name} is {found.kind}; a TUM file of 8 columns is needed")
-    if manner.times is not None and not times:
-        raise UsageError(f"--times {manner.times}: {name} is {found.kind}; KITTI poses are needed")
     if manner.inverse and found.space is None:
         raise UsageError(f"--axes {manner.inverse}: {name} has no poses in 3-D")
     for flag, value in (("--cov-frame", manner.frame), ("--cov-order", manner.order)):

@@ -711,9 +711,8 @@ def _prior(
             right = "--prior X,Y,THETA (m, rad; or as in 90deg), or --prior truth for the first true pose, is needed"
             raise UsageError(f"{what}; {right}")
         return Prior(np.zeros(3), np.zeros((3, 3)))
-    if wanted.prior_sigma is None:
-        raise UsageError("--prior: --prior-sigma SX,SY,STHETA (m, m, rad; 0,0,0: exact) is needed")
     mean = wanted.prior
+    assert wanted.prior_sigma is not None  # stated, or assumed beside a mean
     if isinstance(mean, str):
         if pose is None:
             raise UsageError("--prior truth: --truth FILE is needed")

@@ -172,7 +172,8 @@ def _sensor(
         where += f"; of a column for each landmark as in --columns {own}range={star}" * bool(star)
         what += f"; name them as in --columns {own}range={a},{own}bearing={b}, {where}"
         if free:
-            columns.notes.append(f"{file.path.name}: odometry and truth alone: {what}")
+            told = f"observations, if it has some, are named as in --columns {own}range={a},{own}bearing={b}"
+            columns.notes.append(f"{file.path.name}: odometry and truth alone; {told}: {file.described()}")
             return None
         raise DataError.at(file.path, what)
     sees = of.get("sees") or ""
@@ -388,9 +389,10 @@ def settle(given: Given) -> Wanted:
         if flag in given and kind not in STAMPED_KINDS and (flag, given.get("ticks")) != ("hold", "rate"):
             raise UsageError(f"--{flag} {given[flag]}: for velocities; the odometry has {kind}")
     second, starts = _second(given, texts, columns), "truth" in files and "prior" not in given
-    if starts:
-        given = {"prior-sigma": "10cm,10cm,3deg", **given, "prior": FROM_TRUTH}
-        columns.notes.append(f"assumed: --prior truth --prior-sigma {given['prior-sigma']}")
+    if starts or ("prior" in given and "prior-sigma" not in given):
+        told = "" if "prior" in given else f" --prior {FROM_TRUTH}"
+        given = {"prior": FROM_TRUTH, "prior-sigma": "10cm,10cm,3deg", **given}
+        columns.notes.append(f"assumed:{told} --prior-sigma {given['prior-sigma']}")
     prior, poses = given.get("prior"), by_sensor(given.get("sensor-pose", []), "sensor-pose")
     map_pose, truth_pose = (numbers_of(given, f"{of}-transform") for of in ("map", "truth"))
     return Wanted(

@@ -11,7 +11,7 @@ from data.errors import DataError
 from data.formats.open_log import write_folder
 from data.worlds.registry import named_log
 from eval.plan.flags.table import Results
-from eval.plan.results import asked_results
+from eval.plan.results import asked_results, truth_of
 from eval.run_all import main
 
 HOW = ("nis", "nis_lower", "nis_upper", "nis_expected", "innovation_lag1", "innovation_lag1_se", "iterations")
@@ -84,6 +84,13 @@ def test_every_log_has_its_truth_as_tum_and_a_truth_may_be_alone(first, tmp_path
         [own.loc["ekf", "online"]["rmse_aligned_m"], own.loc["isam2", "final"]["rmse_aligned_m"]], rel=1e-9
     )
     assert "Exception: a, b" in (tmp_path / "alone/report.md").read_text()
+
+
+def test_a_truth_without_stamps_has_a_pose_for_each_frame(tmp_path):
+    np.savetxt(tmp_path / "t.txt", named_log(LOG).truth.pose[:-3])
+    asked = asked_results(Results(truth=str(tmp_path / "t.txt")), [LOG], ())
+    with pytest.raises(DataError, match="57 poses without stamps, 60 frames: which belong together"):
+        truth_of(named_log(LOG), asked.file)
 
 
 @pytest.mark.parametrize(("command", "wanted"), [

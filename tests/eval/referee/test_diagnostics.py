@@ -89,13 +89,9 @@ def ended(estimator, cost, error=0.0, dof=100):
 def test_both_costs_the_better_one_and_the_distance_are_reported():
     found = diagnostics.two_minima(ended("batch", 1627.79, 0.64), ended("isam2", 1627.34))
     assert found.named == {
-        "better": "isam2",
-        "worse": "batch",
-        "costs": (1627.34, 1627.79),
-        "dof": 100,
-        "apart": pytest.approx(0.64),
+        "better": "isam2", "worse": "batch", "costs": (1627.34, 1627.79), "dof": 100, "apart": pytest.approx(0.64),
         "apart_most": pytest.approx(0.64),
-    }
+    }  # fmt: skip
     assert "isam2 ends at a cost of 1627.340, batch at 1627.790 (100 degrees of freedom)" in sentence(found)
 
 

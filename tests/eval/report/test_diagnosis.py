@@ -436,14 +436,10 @@ def calibrated_trial():
 def test_the_table_shows_prior_estimates_truth_and_what_the_log_cannot_tell(calibrated_trial):
     table = diagnosis.errors_table(ERRORS, calibrated_trial.runs, calibrated_trial.log.truth)
     assert table.to_dict("list") == {
-        "error": ["scale", "curvature"],
-        "unit": ["", "rad/m"],
-        "known before": ["0 ± 0.10", "0 ± 0.050"],
-        "ekf (online)": ["−0.0790 ± 0.0050", "0.001 ± 0.050"],
-        "batch (final)": ["−0.0810 ± 0.0040", "0.002 ± 0.049"],
-        "true": ["−0.0800", "0"],
-        "told": ["yes", "the log cannot tell it"],
-    }
+        "error": ["scale", "curvature"], "unit": ["", "rad/m"], "known before": ["0 ± 0.10", "0 ± 0.050"],
+        "ekf (online)": ["−0.0790 ± 0.0050", "0.001 ± 0.050"], "batch (final)": ["−0.0810 ± 0.0040", "0.002 ± 0.049"],
+        "true": ["−0.0800", "0"], "told": ["yes", "the log cannot tell it"],
+    }  # fmt: skip
 
 
 def test_batch_has_the_last_word_and_an_error_is_told_if_a_tenth_of_its_sigma_is_gone(calibrated_trial):

@@ -165,18 +165,13 @@ def test_experiments_are_every_robot_with_every_exchange():
     assert {r["robots_fp"] for r in rows_of(made[0].log, runs[0])} == {0}
 
 
-@pytest.mark.parametrize(
-    ("name", "selection", "said"),
-    [
-        ("arena:0", Selection(), "no team"),
-        ("arena:0:robots=1", Selection(), "two robots"),
-        ("team:0:robots=2+robot=3", Selection(), "there are 2"),
-        ("team:0:scale=0.1", Selection(), "one robot"),
-        ("team:0:frames=9", Selection(estimator=("isam2",)), "isam2"),
-        ("team:0:frames=9", Selection(association=("scan",)), "scan"),
-        ("team:0:frames=9", Selection(task=("slam",), association=("nn",)), "labels"),
-    ],
-)
+@pytest.mark.parametrize(("name", "selection", "said"), [
+    ("arena:0", Selection(), "no team"), ("arena:0:robots=1", Selection(), "two robots"),
+    ("team:0:robots=2+robot=3", Selection(), "there are 2"), ("team:0:scale=0.1", Selection(), "one robot"),
+    ("team:0:frames=9", Selection(estimator=("isam2",)), "isam2"),
+    ("team:0:frames=9", Selection(association=("scan",)), "scan"),
+    ("team:0:frames=9", Selection(task=("slam",), association=("nn",)), "labels"),
+])  # fmt: skip
 def test_what_is_no_team_is_refused(name, selection, said):
     with pytest.raises(UsageError, match=said):
         experiments(name, selection, Setup(), Reading(), lambda _: None)

@@ -109,6 +109,10 @@ def test_turn_drive_and_turn_of_a_course_are_an_increment(tmp_path):
     assert (r.observations.frame.tolist(), r.map.id.tolist()) == ([1, 1, 2], [1, 3])
     assert log.granted.tolist() == [3, 1, 3]
     assert r.observations.R[0] == pytest.approx(np.diag([0.01, 0.04]))
+    (tmp_path / "sensor_data.dat").write_text("ODOMETRY 0 1 0\nSENSOR 0 2 0\nSENSOR 0 3 1\n")
+    log = load_course(tmp_path / "sensor_data.dat", "course", None, sigma, (0.1, 0.2))
+    assert log.truth.landmark_of is None
+    assert log.notes == ("Ids name no landmarks: 1 of 2 repeat one of their frame.",)
 
 
 @pytest.mark.parametrize(("steps", "world", "said"), [

@@ -143,7 +143,7 @@ def test_what_a_file_does_not_say_must_be_said_and_nothing_else(tmp_path):
         read_path(str(tmp_path / name), Manner(stamps="ns"))
     name, _ = tum(tmp_path)
     for manner, wanted in (
-        (Manner(times=tmp_path / "times.txt"), "KITTI poses are needed"),
+        (Manner(times=tmp_path / "times.txt"), "a.txt has stamps of its own"),
         (Manner(frame="local"), "has no covariance"),
     ):
         with pytest.raises(UsageError, match=wanted):
@@ -265,6 +265,29 @@ def test_poses_of_other_programs_files_are_one_path(name, tmp_path):
     OTHERS[name](tmp_path / name)
     path = read_path(str(tmp_path / name), Manner(axes=ROBOT) if name[0] in "acdefj" else Manner())
     assert path.pose == pytest.approx(PLANE, abs=1e-6)
+
+
+def test_stamps_of_their_own_file_titles_and_camera_axes_of_numbered_poses(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    np.savetxt("a.txt", PLANE), np.savetxt("t.txt", 7.0 + 0.5 * np.arange(40))
+    assert read_path("a.txt", Manner(times=Path("t.txt"))).time == pytest.approx(7.0 + 0.5 * np.arange(40))
+    rows = "\n".join(f"{k} {x} {y} {a}" for k, (x, y, a) in enumerate(PLANE))
+    Path("b.txt").write_text(f"rmse = 0.0116\nstamp x y yaw\n{rows}\n")
+    path = read_path("b.txt")
+    assert path.pose == pytest.approx(PLANE)
+    assert "line 1 is a title above the names, and left out" in path.notes
+    down = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  # a camera's axes from a robot's
+    M = np.concatenate([down @ T[:, :3, :3] @ down.T, down @ T[:, :3, 3:]], axis=2)
+    np.savetxt("c.txt", np.column_stack([np.arange(40), M.reshape(40, 12)]))
+    assert read_path("c.txt").pose == pytest.approx(PLANE, abs=1e-9)
+    assert any("its axes are a camera's" in note for note in read_path("c.txt").notes)
+
+
+def test_of_objects_one_may_lack_what_all_others_have(tmp_path):
+    rows = [{"t": k, "x": np.array([p["x"]]), "p": np.array([[p["y"]], [p["yaw"]]])} for k, p in enumerate(FLAT)]
+    (tmp_path / "a.pkl").write_bytes(pickle.dumps([{"t": -1, "x": 0, "p": False}, *rows]))
+    path = read_path(str(tmp_path / "a.pkl"), Manner(columns={"y": "p_1", "yaw": "p_2"}))
+    assert path.pose == pytest.approx(PLANE)
 
 
 class Kept:

@@ -350,7 +350,7 @@ def test_odometry_and_truth_in_one_row_of_several_runs(convert, unread):
     bare = "\n".join(row.rsplit(",", 2)[0] for row in text.splitlines())
     log, said = convert({"b.csv": bare}, "table", "b.csv:run=1", "out", "--truth", "b.csv:run=1")
     assert len(log.recorded.observations.z) == 0
-    assert "b.csv:run=1: odometry and truth alone: no observations: columns run, t, x" in said
+    assert "odometry and truth alone; observations, if it has some, are named as in --columns range=DIST" in said
     assert "odometry is v and omega" in convert({"a.csv": text}, "table", "a.csv:run=1", "out")[1]
 
 
