@@ -188,7 +188,10 @@ def _unrolled(name: str, value: Any) -> Columns:
     if isinstance(value, list):
         return _listed(name, value)
     if kind_of(value) == CELLS:
-        return _listed(name, [{"": item} for item in value.ravel(order="F")])
+        cells = value.ravel(order="F").tolist()
+        while cells and not np.size(cells[-1]):  # of an array that was made too long
+            cells.pop()
+        return _listed(name, [{"": item} for item in cells])
     if kind_of(value) != "numbers" or value.ndim > 2 or not value.size:
         return {}
     table = value.reshape(-1, 1) if 1 in value.shape or value.ndim < 2 else value

@@ -313,8 +313,9 @@ def _facts(report: AuditReport) -> SimpleNamespace:
     unchecked = factors[factors["unchecked"]]
     seen = factors["missed_m"][np.isfinite(factors["missed_m"]) & ~factors["unchecked"]]
     missed = factors.loc[[seen.idxmax()] if seen.max() > 0.0 else []]
-    # rejected at the stated noise, and not at the one that the residuals ask for
-    wide = max([1.0, *(s.value for s in scaled)])
+    # rejected at the stated noise, not at the one that the residuals of a whole kind ask for; one axis explains less
+    whole = scales(kinds[kinds["p_family"] < FAMILY], components.iloc[:0])
+    wide = max([1.0, *(s.value for s in whole)])
     widened, clusters = log_p_of(wrong["deleted"].to_numpy() / wide, wrong["rank"].to_numpy()), report.clusters
     tests, all_ = max(int(np.isfinite(a.factors.log_p).sum()), 1), max(len(clusters), 1)
     explained = bool(np.all(widened > LOG_FAMILY - np.log(tests))) and wide > 1.0

@@ -187,7 +187,7 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
     if "\0" in text:
         raise DataError.at(path, "not a text file; a CSV file is needed")
     numbered = [(i, line) for i, line in lines if line.strip(" ;,|")]
-    plain = [(i, line) for i, line in numbered if not line.lstrip().startswith(COMMENT)]
+    plain = [(i, line.replace(",\t", ",")) for i, line in numbered if not line.lstrip().startswith(COMMENT)]
     if not plain:
         raise DataError.at(path, f"no rows{f' of {word}' * bool(word)}; at least one is needed")
     separator = _separator([line for _, line in plain[:50]])
@@ -624,7 +624,7 @@ class Columns:
             return self.find(file, role, EARTH[quantity]) if quantity in EARTH and role in ON_EARTH else None
         note = f"{file.path.name}: {quantity} of {role} is read from {file.names[also[0]]}"
         unit, dimension = words_of(file.names[also[0]])[1], QUANTITIES[quantity]
-        unit = "ns" if quantity == "t" and file.names[also[0]].startswith("field.") else unit  # of `rostopic echo -p`
+        unit = "ns" if quantity == "t" and file.names[also[0]].startswith(("field.", "%time")) else unit  # of rostopic
         if unit and dimension and not {dimension, quantity} & set(self.units.given):
             try:
                 factor(dimension, unit, "")

@@ -178,7 +178,8 @@ def read_odometry(
         back, rows = np.diff(time) < 0.0, [file.rows[k] for k in np.searchsorted(file.line, table.line)]
         if back.any() and (runs := runs_of(file.path, file.names, rows, back.tolist())):
             raise DataError.at(file.path, runs)
-        table.require_ascending("t", strictly=False, hint="; leave such rows out" * bool(back.mean() < SOME))
+        few = "; leave such rows out" if back.mean() < SOME else f"; a time between rows is --columns {role}.dt=NAME"
+        table.require_ascending("t", strictly=False, hint=few)
         # the last of rows with equal stamps is used: a row per observation repeats the odometry
         last = np.append(time[1:] > time[:-1], True)
         motion = table.stack(quantities)

@@ -64,7 +64,7 @@ def read_scans(
     slots: IntArray = np.arange(len(beams))
     if scanner is not None and len(scanner) > 3:
         slots, scanner = _uneven(scanner, len(beams))
-    if scanner is not None and (len(beams) - 1.5) * abs(scanner[1]) > 2.0 * np.pi:
+    if scanner is not None and (int(slots.max()) - 0.5) * abs(scanner[1]) > 2.0 * np.pi:
         what = f"{len(beams)} beams, {math.degrees(scanner[1]):.4g} deg apart, pass a full turn"
         raise UsageError(f"--scanner: {what}; are there intensities between the ranges? Leave their columns out")
     if stamp is None:
@@ -75,7 +75,7 @@ def read_scans(
     for k, (row, line) in enumerate(zip(file.rows, file.line.tolist(), strict=True)):
         fields = [row[j] or "nan" for j in beams] if listed is None else row[listed].strip("()[] ").split(",")
         if (slots != range(len(slots))).any():
-            each = dict(zip(slots.tolist(), fields, strict=True))
+            each = dict(zip(slots.tolist()[::-1], fields[::-1], strict=True))  # of beams at one angle the first
             fields = [each.get(slot, "nan") for slot in range(max(each) + 1)]
         if (wrong := next((f for f in fields if not is_number(f)), None)) is not None:
             raise DataError.at(file.path, f"{wrong!r} is not a number", line=line)
@@ -101,7 +101,7 @@ def _uneven(scanner: Array, beams: int) -> tuple[IntArray, Array]:
     """
     angles, reach = scanner[:-1], scanner[-1]
     off = angles - angles.min()
-    gap = float(np.diff(np.sort(angles)).min()) if len(angles) == beams else 0.0
+    gap = float(np.diff(np.unique(angles)).min(initial=2.0 * np.pi)) if len(angles) == beams else 0.0
     fine = [gap / k for k in range(1, 21) if gap and np.abs(off * k / gap - np.rint(off * k / gap)).max() < 0.02]
     if not fine:
         what = f"{len(angles)} angles for {beams} beams; LOW,STEP,MAX, or an angle for each and the reach, is needed"

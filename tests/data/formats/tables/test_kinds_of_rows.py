@@ -290,6 +290,18 @@ def test_beams_at_unequal_angles_and_columns_in_another_order(convert, tmp_path)
     assert scans.ranges[0, scans.ranges[0] > 0.0].tolist() == [1.0, 2.0, 3.0, 4.0]
 
 
+def test_cells_of_an_array_made_too_long_and_lists_behind_tabs(convert, tmp_path):
+    savemat(tmp_path / "a.mat", {"u": cell(*([[0.5], [0.1]] for _ in range(9)), [], []), "dt": np.full(9, 0.2)})
+    log, _ = convert({}, "table", "a.mat", "out", "--truth", "a.mat", "--columns", "v=u_1,omega=u_2,x=dt,y=dt,theta=dt")
+    assert log.recorded.increments.mean[:, 2].sum() == pytest.approx(0.16)
+    text = "pose,ir\n" + "".join(f"[ 0.5  0.0  0.1],\t[ {k}.5  1.5  2.5 3.5]\n" for k in range(9))
+    words = ("--scans", "b.csv", "--scanner=0deg,90deg,90deg,-90deg,9m", "--columns")
+    log, _ = convert(
+        {"b.csv": text}, "table", "b.csv", "out", *words, "dx=pose_1,dy=pose_2,dtheta=pose_3,scans.range=ir_1"
+    )
+    assert log.recorded.scans.ranges[2] == pytest.approx([3.5, 2.5, 1.5]), "of two beams at one angle the first"
+
+
 def test_true_poses_name_their_row_of_the_odometry_and_rates_hold_backward(read):
     odometry = "t,left,right\n" + "".join(f"{k},{k},{k}\n" for k in range(9))
     truth = "pose_id,x,y,theta\n" + "".join(f"{k},{k * (k + 1) / 2},0,0\n" for k in (8, 6, 4, 2, 0))
