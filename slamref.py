@@ -35,23 +35,14 @@ from pathlib import Path
 from typing import Any
 
 MODULES = {
-    "association.decide": "decide",
-    "association.expectation": "Expectation",
-    "data.log": "Log",
-    "data.logs": "open_log",
-    "data.notice": "Notice",
-    "data.result": "NEW DISCARD",
-    "data.words": "sentence",
+    "association.decide": "decide", "association.expectation": "Expectation", "data.log": "Log",
+    "data.logs": "open_log", "data.notice": "Notice", "data.result": "NEW DISCARD", "data.words": "sentence",
     "eval.checks.checking": "check_estimator check_association estimator_findings association_findings",
-    "eval.compare": "compare",
-    "eval.judgement.judgement": "judge Judgement",
-    "eval.referee.diagnostics": "notices",
-    "eval.referee.score": "Trial score",
-    "eval.replay.estimators": "make_estimator",
-    "eval.replay.external.adapter": "Samples",
-    "eval.replay.settings": "Setup",
+    "eval.compare": "compare", "eval.judgement.judgement": "judge Judgement", "eval.referee.diagnostics": "notices",
+    "eval.referee.score": "Trial score", "eval.replay.estimators": "make_estimator",
+    "eval.replay.external.adapter": "Samples", "eval.replay.settings": "Setup",
     "eval.report.calls": "study Study twins score_files Diagnosis",
-}
+}  # fmt: skip
 """Where the names are; type checkers read `eval/slamref.pyi`."""
 HOMES = {name: module for module, names in MODULES.items() for name in names.split()}
 OF_WINGS = ("audit",)
