@@ -63,8 +63,8 @@ def runs(text: str, task: str) -> Iterator[str]:
 
 @check("noise-free input")
 def without_noise(text: str, task: str) -> Iterator[Finding]:
-    """With exact prior, motion and observations it stays on the true path."""
-    log = worlds.noise_free(worlds.arena_log())
+    """With exact prior, motion and observations it stays on the true path, also in steps without turn or motion."""
+    log = worlds.noise_free(worlds.straight(worlds.arena_log()))
     path, ours = (completed(name, inputs_for(log, task), task)[1] for name in (text, "ekf"))
     assert log.truth.pose is not None
     far = off(path.pose, log.truth.pose, ours.covariance)

@@ -20,6 +20,7 @@ from data.blocks import block_diagonal, coordinates, diagonal_blocks
 from data.inputs import Frame, FrameObservations, Inputs, IntArray
 from data.result import DISCARD, NEW
 from data.se2 import Array, compose, world_from_body, wrap_angle
+from data.sensors import RangeBearing
 from data.words import environment
 from eval.checks import worlds
 from eval.checks.finding import APPROXIMATE, Finding, check
@@ -627,6 +628,8 @@ def recorded(
     try:
         for frame, decisions in frames:
             state, absent = _said(estimator, timed, frame, decisions, slam=slam)
+            if state.expected is not None and isinstance(inputs.sensor, RangeBearing):  # bearings may be beyond pi
+                state.expected.z_hat[:, 1] = wrap_angle(state.expected.z_hat[:, 1])
             if absent:
                 why, some = f"{absent} NEW observations initialize no landmark", any(len(s.used) for s in found)
                 if not some:
@@ -666,4 +669,4 @@ def _formed(e: Expectation, *, known_map: bool) -> Expected:
         decided = decide("jcbb", e, GATE, NEW_GATE, known_map=known_map).decisions
     except SingularInnovationError:
         decided = np.full(len(e.z), DISCARD)
-    return Expected(e.number, e.z_hat, joint, e.HPHt, nu, e.R, decided)
+    return Expected(e.number, np.array(e.z_hat), joint, e.HPHt, nu, e.R, decided)

@@ -121,6 +121,16 @@ def noise_free(log: Log) -> Log:
     return replace(log, recorded=exact)
 
 
+def straight(log: Log) -> Log:
+    """The same with a true step of no turn, and one of no motion after it; observations and increments stay."""
+    pose = log.truth.pose
+    assert pose is not None
+    moved, k = pose.copy(), FRAMES // 2
+    moved[k] = moved[k + 1] = compose(pose[k - 1], np.array([0.5, 0.0, 0.0]))
+    moved[k + 2 :] = compose(moved[k], between(pose[k + 1], pose[k + 2 :]))
+    return replace(log, truth=replace(log.truth, pose=moved))
+
+
 def silent(log: Log, frames: slice) -> Log:
     """The same without the observations of some frames."""
     r, t = log.recorded, log.truth

@@ -8,11 +8,12 @@ import pytest
 
 from ekf.filter import FilterDivergedError
 from eval.checks import exactness, worlds
+from eval.checks.estimators import without_noise
 from eval.checks.exactness import Agreement, Deviation, Quantity, Stopped, sentence
 from eval.replay.external.adapter import text_of
 from eval.replay.settings import FILTERS, INCREMENTAL
 from tests.eval.checks.plain import Plain
-from tests.eval.checks.zoo import MUTANTS, Jittered
+from tests.eval.checks.zoo import MUTANTS, Jittered, mutant
 from tests.oracle import reference_ekf
 
 
@@ -29,6 +30,12 @@ def test_a_wrong_estimator_is_rejected_and_its_mistake_named(name):
     assert wrong
     assert {f.bug for f in wrong} == {bug}
     assert all(bug is None or "Likely: " in sentence(f) for f in wrong)
+
+
+def test_a_motion_that_divides_by_its_turn_stops_in_a_step_without_one():
+    arcs = mutant(moved=lambda s, c, n, u, v, w: Plain.moved(s, c, n, u, v, w) if w else np.full(3, np.nan))
+    for thing, passes in ((arcs, False), (Plain, True)):
+        assert [f.passed for f in without_noise(text_of(thing, "estimator"), "slam")] == [passes]
 
 
 def test_a_mistake_is_one_sentence_that_names_what_follows_from_it():
