@@ -12,9 +12,9 @@ from typing import cast
 
 import numpy as np
 
+from data.inputs import IntArray
 from data.log import ODOMETRY_KIND, ODOMETRY_PERIOD, Log
 from data.notice import Code, Notice, notice
-from data.pose_measurements import FixKind
 from data.questions import readings, witnesses
 from data.questions.flags import flags_of
 from data.questions.readings import DEG, SMALL_NOISE, TINY, Kind, Numbered, Part, Reading
@@ -669,25 +669,36 @@ def _as_well(e: Explained, best: Explained) -> bool:
     return near or e.gain >= best.gain - max(2.0, CLOSE * best.gain)
 
 
+def _placed(log: Log) -> list[tuple[str, IntArray, Array, float]]:
+    """Fixes, and a truth without headings: frames (n,), places (n, 2), and their standard deviation [m]."""
+    f, pose = log.recorded.fixes, log.truth.pose
+    parts = [] if f is None else [("fixes", *f.placed)]
+    if pose is not None and not log.truth.has_headings:
+        known = np.flatnonzero(np.isfinite(pose[:, 0]))
+        parts.append((Part.TRUTH.value, known, pose[known, :2], 1.0))
+    return parts
+
+
 def _mirrored(log: Log) -> list[Explained]:
-    """Odometry that turns to the other side than fixes: its mirror image fits these, stretch by stretch."""
-    r, fixes, square = log.recorded, log.recorded.fixes, list[list[float]]()
-    rows = np.zeros(0, int) if fixes is None else np.flatnonzero(fixes.kind != FixKind.HEADING)
-    if fixes is None or len(rows) < FEWEST * STRETCHES:
-        return []
-    path = dead_reckoned(np.zeros(3), r.increments.mean)[:, :2]
-    for some in np.array_split(rows, STRETCHES):
-        place, own = fixes.z[some, :2], path[fixes.frame[some]]
-        off = [p - place for p in (transform_points(rigid_fit(q, place), q) for q in (own, own * [1.0, -1.0]))]
-        square.append([float(np.sum(d**2)) for d in (*off, place - place.mean(axis=0))])
-    each = np.array(square)
-    stated, fits = np.sqrt(each[:, :2].sum(axis=0) / max(each[:, 2].sum(), TINY)).tolist()
-    better = float(np.mean(each[:, 1] < PLAIN**2 * each[:, 0]))
-    if stated < SLIGHT or fits > SHARP * min(stated, PLAIN) or better <= 0.5:
-        return []
-    ticks = log.source.get(ODOMETRY_KIND) == "ticks"
-    kind, of = (Kind.EXCHANGED, "left and right") if ticks else (Kind.SIDE, "odometry's mirror")
-    return _told(kind, of, "fixes and odometry", stated, fits)
+    """Odometry that turns to the other side than places do: its mirror image fits these, stretch by stretch."""
+    path = dead_reckoned(np.zeros(3), log.recorded.increments.mean)[:, :2]
+    for part, frames, places, _ in _placed(log):
+        if len(frames) < FEWEST * STRETCHES:
+            continue
+        square = list[list[float]]()
+        for some in np.array_split(np.arange(len(frames)), STRETCHES):
+            place, own = places[some], path[frames[some]]
+            off = [p - place for p in (transform_points(rigid_fit(q, place), q) for q in (own, own * [1.0, -1.0]))]
+            square.append([float(np.sum(d**2)) for d in (*off, place - place.mean(axis=0))])
+        each = np.array(square)
+        stated, fits = np.sqrt(each[:, :2].sum(axis=0) / max(each[:, 2].sum(), TINY)).tolist()
+        better = float(np.mean(each[:, 1] < PLAIN**2 * each[:, 0]))
+        if stated < SLIGHT or fits > SHARP * min(stated, PLAIN) or better <= 0.5:
+            continue
+        ticks = log.source.get(ODOMETRY_KIND) == "ticks" and part == "fixes"
+        of = "left and right" if ticks else "odometry's mirror" if part == "fixes" else "truth's mirror"
+        return _told(Kind.EXCHANGED if ticks else Kind.SIDE, of, f"{part} and odometry", stated, fits)
+    return []
 
 
 STRETCHES, SHARP = 8, 0.33  # Parts of a log, in each of which odometry drifts little; as `PLAIN`, as a bias turns, too
@@ -695,13 +706,9 @@ STRETCHES, SHARP = 8, 0.33  # Parts of a log, in each of which odometry drifts l
 
 def _by_way(log: Log) -> list[Explained]:
     """Places of fixes, or true ones without headings, that are all farther apart than odometry says, or all nearer."""
-    r, truth, kind = log.recorded, log.truth, str(log.source.get(ODOMETRY_KIND, "velocities"))
+    r, kind = log.recorded, str(log.source.get(ODOMETRY_KIND, "velocities"))
     speeds = {} if kind == "ticks" else readings.SPEEDS if kind == "velocities" else readings.METRES
-    parts = [("fixes", *f.placed) for f in (r.fixes,) if f is not None]
-    if truth.pose is not None and not truth.has_headings:
-        known = np.flatnonzero(np.isfinite(truth.pose[:, 0]))
-        parts.append((Part.TRUTH.value, known, truth.pose[known, :2], 1.0))
-    for of, frame, place, sigma in parts:
+    for of, frame, place, sigma in _placed(log):
         if (share := witnesses.way_share(r.increments, frame, place, sigma)) is None:
             continue
         sizes = {u: 1.0 / k for u, k in readings.METRES.items()} if share > 1.0 else dict(speeds)

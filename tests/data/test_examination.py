@@ -8,7 +8,9 @@ import pytest
 import slamref
 from data.notice import Code
 from data.questions.asked import ask
+from data.truth import Truth
 from data.words import sentence
+from tests.builders.logs import NOTHING
 from tests.mistakes import MISTAKES, RATE, log_of, world
 from tests.quick import slow
 from tests.research.sound import of_tables, of_world
@@ -125,6 +127,14 @@ def test_lengths_and_stamps_of_two_parts_alone_are_told_by_acceleration_to_the_s
         log = of_tables(tmp_path, t, form, **BARE)
         log = replace(log, recorded=replace(log.recorded, time=log.recorded.time / 60.0))
     assert unit in ask(log)[0].named["units"]
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_truth_without_headings_may_be_mirrored(side):
+    log = slamref.open_log("arena:0")
+    bare = replace(log.recorded, observations=NOTHING, map=None)
+    asked = ask(replace(log, recorded=bare, truth=Truth(log.truth.pose * [1.0, side, np.nan])))
+    assert [n.named["of"] for n in asked if n.code == Code.CONTRADICTION] == [("truth's mirror",)] * (side < 0.0)
 
 
 def test_of_two_parts_alone_either_may_turn_to_the_other_side(tmp_path):

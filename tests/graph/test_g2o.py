@@ -293,18 +293,12 @@ def test_several_sensors_become_points_of_each_and_ranges_from_beside_the_robot_
 def log_of_two_sensors() -> Log:
     """A laser ahead of the robot's centre, and tags seen by a camera that looks to the left."""
     return Log.from_arrays(
-        "two",
-        (np.zeros(3), np.zeros(3)),
-        [
+        "two", (np.zeros(3), np.zeros(3)), [
             {"name": "laser", "kind": "range_bearing", "translation": [-0.5, 0.0], "sigma": [0.1, 0.1]},
             {"name": "tags", "kind": "relative_point", "rotation": -math.pi / 2, "sigma": [0.1, 0.1]},
-        ],
-        [[0, 2.0, 0.0], [0, 2.0, 0.0]],
-        observed_by=["laser", "tags"],
-        label=[3, 4],
-        increments=np.zeros((2, 3)),
-        covariance=[0.1, 0.1, 0.1],
-    )
+        ], [[0, 2.0, 0.0], [0, 2.0, 0.0]], observed_by=["laser", "tags"], label=[3, 4],
+        increments=np.zeros((2, 3)), covariance=[0.1, 0.1, 0.1],
+    )  # fmt: skip
 
 
 CHAIN = [(0, 1, 1.0, 0.1, 0.2), (1, 2, 1.1, 0.0, 0.3), (2, 3, 0.9, -0.1, 0.1)]
