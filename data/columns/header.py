@@ -37,16 +37,13 @@ KNOWN = {
         *("format", "name", "time_is_index", "covariance_floor", "floored", "labels_are_sensed", "notes"),
         *("prior", "sensor", "scanner", "motion", "source", "origin", *poses.KEYS),
     ),
-    "prior": ("mean", "sigma", "covariance"),
-    "sensor": sensors.KEYS,
-    "sensor.extrinsic": ("rotation", "translation"),
-    "scanner": KEYS,
-    **poses.KEYS,
+    "prior": ("mean", "sigma", "covariance"), "sensor": sensors.KEYS,
+    "sensor.extrinsic": ("rotation", "translation"), "scanner": KEYS, **poses.KEYS,
     "motion": (
         *("model", "noise", "sigma", "alphas"),
         *("prior", *dict.fromkeys(f.name for kind in PRIORS.values() for f in fields(kind))),
     ),
-}
+}  # fmt: skip
 """Keys of each table."""
 
 

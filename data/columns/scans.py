@@ -62,9 +62,8 @@ def read_scanner(table: TomlTable) -> Scanner:
         table.number("angle_min", None, "a finite angle (radians)", finite),
         table.number("angle_step", None, "an angle other than 0 (radians)", lambda v: finite(v) and v != 0.0),
         table.number("max_range", None, "a finite range > 0 [m]", positive),
-        table.number("sigma", None, "a number > 0 [m]", positive),
-        *mounting(table),
-    )
+        table.number("sigma", None, "a number > 0 [m]", positive), *mounting(table),
+    )  # fmt: skip
 
 
 def read_scans(path: Path, scanner: Scanner, frames: int) -> Scans:

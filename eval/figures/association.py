@@ -40,13 +40,12 @@ class Part:
 
 
 PARTS = (
-    Part("tp", "tp", "TP: right landmark"),
-    Part("tn", "tn", "TN: rightly none"),
+    Part("tp", "tp", "TP: right landmark"), Part("tn", "tn", "TN: rightly none"),
     Part("wrong", "fp", "FP: another landmark (wrong)"),
     Part("spurious", "fp", "FP: though none is right (spurious)", "/////"),
     Part("duplicate", "fn", "FN: initialized a second one (duplicate)"),
     Part("missed", "fn", "FN: discarded (missed)", "....."),
-)
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

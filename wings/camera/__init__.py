@@ -14,10 +14,6 @@ wing = Wing(
         "detect": ("wings.camera.detect:main", "find reference pictures in a photo"),
         "camera": ("wings.camera.command:main", "estimate a camera's calibration from a recording with images"),
     },
-    worlds={"visual": VISUAL},
-    recordings=(LAB,),
-    conversions=("wings.camera.convert",),
-    images=("wings.camera.opening:images_of",),
-    sections=("wings.camera.report:visual_sections",),
-    templates="wings.camera",
-)
+    worlds={"visual": VISUAL}, recordings=(LAB,), conversions=("wings.camera.convert",), templates="wings.camera",
+    images=("wings.camera.opening:images_of",), sections=("wings.camera.report:visual_sections",),
+)  # fmt: skip

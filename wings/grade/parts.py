@@ -101,11 +101,10 @@ Mistakes = Iterable[tuple[str, Callable[..., Answer]]]
 
 
 def asked(
-    name: str,
-    questions: Callable[[Seeds, str], Iterable[Question]],
+    name: str, questions: Callable[[Seeds, str], Iterable[Question]],
     mistakes: Callable[[str], Mistakes] = lambda _: (),
     checks: Callable[[Loaded], Iterable[tuple[str, str]]] = lambda _: (),
-) -> Part:
+) -> Part:  # fmt: skip
     """A part whose function gets each question's arguments, copied; `checks`: names and words of failed ones."""
 
     def grade(loaded: Loaded, prepared: Sequence[Question]) -> Outcome:

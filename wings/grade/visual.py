@@ -41,11 +41,10 @@ def seen(seeds: Seeds) -> dict[str, list[Question]]:
                 corners, points = scene.corners[found.picture, :, :2], found.points
                 asked_and_answered = (
                     ((pose, corners, *mount), sensor.predict(pose, corners)),
-                    ((pose, corners, *mount), sensor.jacobians(pose, corners)[0]),
-                    ((points, camera), found.pixels),
+                    ((pose, corners, *mount), sensor.jacobians(pose, corners)[0]), ((points, camera), found.pixels),
                     ((found.pixels, points[:, 2], camera), points),
                     ((points, g.focal, sigma, k), noise(points, g.focal, sigma, k)),
-                )
+                )  # fmt: skip
                 for name, (given, expected) in zip(NAMES, asked_and_answered, strict=True):
                     out[name].append(Question(f"visual:{seed}", frame, given, (expected,)))
     return out

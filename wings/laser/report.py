@@ -277,9 +277,8 @@ LOOPS = Kind(_has_loops, _loops, macro="laser#loops")
 RELATIONS_CAPTION = "errors against the reference relations, mean ± standard deviation."
 RELATIONS_FINE = FinePrint(
     "Reference relations",
-    "A relation is tied to frames by its *row* in"
-    " the log, or by its *time* stamp, which in bursts of stamps is another frame; *exact*: relations whose frames are"
-    " sure. Errors are (a⁻¹b)·rel⁻¹.",
+    "A relation is tied to frames by its *row* in the log, or by its *time* stamp, which in bursts of stamps is another"
+    " frame; *exact*: relations whose frames are sure. Errors are (a⁻¹b)·rel⁻¹.",
 )
 
 

@@ -153,6 +153,8 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
         if role == "t":  # not the time of recording, nor one without the digits that tell rows apart
             some = [j for j in some if len({f[j] for f in text.fields[1:] if j < len(f)}) > 1] or some
             some = [j for j in some if "stamp" in names[j].lower()][-1:] or some[:1]
+        if role == "z" and manner.true and manner.rows and "x" in manner.columns:  # not of the estimate beside it
+            some = [j for j in some if names[j].lower() == "z".join(names[place["x"]].lower().rsplit("x", 1))]
         unclear |= {role: some} if len(some) > 1 else {}
         place |= dict.fromkeys([role] * (len(some) == 1), *some[:1])
     if unclear:
@@ -687,7 +689,7 @@ def likely(fields: Sequence[Sequence[str]]) -> dict[str, str]:
 
 def holds_both(name: str) -> bool:
     """Whether the rows of a file name a true position, too."""
-    if is_bag(Path(name)) or not file_and_word(Path(name))[0].is_file():
+    if is_bag(file_and_topic(name)[0]) or not file_and_word(Path(name))[0].is_file():
         return False
     try:
         found = [header_names(lines.read_text(Path(name)), Manner(true=side)) for side in (False, True)]

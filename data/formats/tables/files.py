@@ -255,6 +255,9 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
                 [(*r[:k], f"{r[k]}.{int(r[j]):09d}", *r[k + 1 :]) for r in rows],
                 stem if last == "." else name,
             )
+    for both in {name for name in stated if "+" in name and {*name.split("+")} <= {*shown}}:  # seconds and nanoseconds
+        j, k = (shown.index(part) for part in both.split("+"))
+        rows, shown = [(*r, f"{r[j]}.{r[k]:0>9}" if r[j] and r[k] else "") for r in rows], [*shown, both]
     return TextTable(path, tuple(shown), tuple(rows), number, names is not None, comma, cut)
 
 
@@ -710,7 +713,8 @@ class Columns:
         for path in dict.fromkeys(f.path for f in files.values() if f.named):
             of = {role: file for role, file in files.items() if file.path == path}
             free = [q for r, f in of.items() for q in MORE.get(r, MORE["observations"]) if self.find(f, r, q) is None]
-            names = dict.fromkeys(n for f in of.values() for n in f.names if n and (path, n) not in self.read)
+            used = {part for where, name in self.read if where == path for part in (name, *name.split("+"))}
+            names = dict.fromkeys(n for f in of.values() for n in f.names if n and n not in used)
             if names:
                 self.notes.append(f"{path.name}: {unused([*names], free)}")
 

@@ -115,6 +115,8 @@ def read_fixes(file: TextTable, wanted: Wanted, odometry: Odometry, notes: list[
     keys, stamped = _instants(file, wanted, role, odometry, ("t",), ("frame",))
     position = [q for q in ("x", "y") if columns.find(file, role, q) is not None]
     heading = [q for q in pose_columns(file, columns, role)[2:] if columns.find(file, role, q) is not None]
+    if columns.stated(role, ("theta",)) and not columns.stated(role, ("x", "lat")) and "x" not in columns.given:
+        position = []  # of a column that is something else
     if len(position) == 1 or not (position or heading):
         what = f"no fixes: {file.described()}; x and y, or a heading theta, or both are needed"
         raise DataError.at(file.path, f"{what}; name them as in --columns fixes.x=EAST,fixes.y=NORTH")
@@ -380,6 +382,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     if not odometry.velocities:
         floored += gaps  # of poses it counts floored covariances
     as_recorded = odometry.velocities and all(p.stamped for p in parts) and not wanted.every_row and scans is None
+    as_recorded &= bool(parts)
     if odometry.velocities and gaps and not as_recorded:  # of odometry.csv loading says it
         notes.append(f"odometry: {gaps_said(odometry.time, time)}")
     known = _map(texts["map"], wanted) if "map" in texts else None
@@ -466,7 +469,7 @@ def _from_truth_on(
     later: list[BoolArray] = [np.asarray((part.at >= begin).all(axis=1)) for part in parts]
     left = [counted(int((~kept).sum()), part.one, part.what) for kept, part in zip(later, parts, strict=True)]
     late = f"{begin - odometry.time[0]:.6g} s after the odometry"
-    notes.append(f"the truth begins {late}; so does the log, without {' and '.join(left)} before")
+    notes.append(f"the truth begins {late}; so does the log" + f", without {' and '.join(left)} before" * bool(left))
     kept = [part.part(np.flatnonzero(fine)) for fine, part in zip(later, parts, strict=True)]
     return odometry.since(begin), kept
 
@@ -498,7 +501,7 @@ def _frames(odometry: Odometry, parts: Sequence[Rows], wanted: Wanted, notes: li
         span = f"the stamps span {last - first:.6g} s, {(last - first) / 86400.0:.3g} days"
         unit = "us" if last - first < 1e7 * len(odometry.time) else "ns"  # steps below 10 s
         raise DataError.at(odometry.table.path, f"{span}; state the unit as in --unit time={unit}")
-    if wanted.every_row or not all(part.stamped for part in kept):
+    if wanted.every_row or not kept or not all(part.stamped for part in kept):
         at = np.concatenate([at, odometry.time])
     return frame_times(at, first, last), kept
 
@@ -607,7 +610,7 @@ def _unit(role: str, time: Array, other: Array) -> str:
 
 def _clocks(time: Array, other: Array, role: str) -> str:
     """What to type where two parts have nothing in common: they begin together, or have other units."""
-    shift = f"--time-offset {role}={float(other[0] - time.min()):.6g}, if both begin together"
+    shift = f"--time-offset {role}={float(other[0] - time.min()):.13g}, if both begin together"
     return f"state the units as in --unit {role}.t=ms, or the clocks as in {shift}"
 
 

@@ -134,6 +134,8 @@ def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | Non
 
 def pose_columns(file: TextTable, columns: Columns, role: str) -> tuple[str, ...]:
     """x, y and theta, or a quaternion instead of a missing theta; of a truth without either x and y."""
+    if role == "truth" and columns.stated(role, ("dx",)):
+        raise DataError.at(file.path, "steps as a truth; true poses x, y, theta are needed, which the steps lead to")
     if role == "truth" and columns.find(file, role, "theta") is None and not columns.has(file, role, QUATERNION):
         return "x", "y"
     quaternion = columns.find(file, role, "theta") is None and columns.has(file, role, QUATERNION)
@@ -186,7 +188,9 @@ def read_odometry(
         other = ~last[:-1] & (motion[1:] != motion[:-1]).any(axis=1)
         if other.sum() > COARSE * len(time):
             some = f"{int(other.sum())} of {len(time)} rows of other motion have the stamp of the next one"
-            raise DataError.at(file.path, f"{some}; stamps with more digits than {time[0]:.15g} are needed")
+            what = f"{some}; stamps with more digits than {time[0]:.15g} are needed"
+            ways = f"of seconds and nanoseconds --columns {role}.t=SEC+NSEC; none: --period"
+            raise DataError.at(file.path, f"{what} ({ways})")
         if not last.all():
             if kind == "steps" or (kind == "ticks" and wheels is not None and wheels.each):
                 raise table.error(int(np.argmin(last)) + 1, "t", f"the stamp of the row before; {kind} need their own")

@@ -157,7 +157,9 @@ def _sensor(
     none where there are no columns, which is noted.
     """
     of = {flag: found.get(name, found.get("")) for flag, found in texts.items()}
-    found = [q for q in ("range", "bearing") if columns.find(file, role, q) is not None]
+    found = [q for q in ("range", "bearing") if (columns.quiet if free else columns).find(file, role, q) is not None]
+    guessed = free and found == ["range"] and not {"range", "label", "true_id"} & {*file.names, *columns.given}
+    found = [] if guessed and not columns.stated(role, ("range", "label")) else found  # a range by another name alone
     stated = of.get("observation-sigma")
     alone = found[0] if len(found) == 1 and (stated is None or len(table_files.words(stated)) == 1) else None
     measured = (alone,) if alone is not None else ("range", "bearing") if found else ("x", "y")

@@ -111,7 +111,7 @@ def time_offset(file: str, time: Array, pose: Array, truth_time: Array, truth: A
     if error > half or samples * (rival - least) < APART:
         why = "the motion is steady" if math.isinf(rival) or error > half else "another fits about as well: laps?"
         what = f"--time-offset auto: no offset stands out ({why})"
-        raise DataError.at(file, f"{what}; state it, as in --time-offset {seconds:.6g}")
+        raise DataError.at(file, f"{what}; state it, as in --time-offset {seconds:.13g}")
     span, middle = float(np.ptp(grids[0][both])), float(np.median(grids[0][both]))
     parts, wide = (grids[0] < middle, grids[0] >= middle), np.linspace(-WIDE, WIDE, 81) * span
     each = [np.array([value(seconds + w, part) for w in wide]) for part in parts]
