@@ -263,16 +263,12 @@ READERS = {
     "results": Reader(results, read_result, sound_path),
     "TOML of a scenario": Reader(scenarios, lambda folder: load_scenario(str(folder / "scenario.toml")), nothing),
     "recording of a robot": Reader(recordings, lambda folder: open_log(str(folder / "log")), assert_sound),
-    "tables of another program": Reader(
-        lambda: [encoded(TABLES), encoded(MEASURED), encoded(SEVERAL)], read_tables, assert_sound
-    ),
+    "tables of another program": Reader(lambda: [encoded(TABLES), encoded(MEASURED), encoded(SEVERAL)], read_tables,
+                                        assert_sound),
     "TOML of a run": Reader(lambda: [{"config.toml": CONFIG.encode()}], read_config, nothing),
-    "g2o": Reader(
-        lambda: [{"graph.g2o": text.encode()} for text in (G2O, LOOP)],
-        lambda folder: log_of("graph", read_graph(folder / "graph.g2o")),
-        assert_sound,
-    ),
-}
+    "g2o": Reader(lambda: [{"graph.g2o": text.encode()} for text in (G2O, LOOP)],
+                  lambda folder: log_of("graph", read_graph(folder / "graph.g2o")), assert_sound),
+}  # fmt: skip
 
 
 LONGEST = 20

@@ -319,7 +319,7 @@ def pose_of(who: str, given: Any) -> PoseEstimate:
     if covariance is None:
         return PoseEstimate(pose, BLANK)
     P = array(who, covariance, (3, 3), "the covariance")
-    size, off = max(float(np.trace(P)), 0.0), float(np.abs(P - P.T).max())
+    size, off = float(np.abs(np.diag(P)).sum()), float(np.abs(P - P.T).max())
     if off > TOLERANCE * size:
         what = f"two elements differ by {off:.3g} (0.5 * (P + P.T) is, if that is rounding)"
         raise ForeignError(f"{who}: the covariance is not symmetric: {what}")

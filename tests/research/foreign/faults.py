@@ -44,18 +44,12 @@ JUMP = ("jump *", "burst *", "bursts *")
 FAULTS: Mapping[str, Fault] = {
     "odometry-sigma": Fault(3.0, ("sigma odometry*",), FACTOR, about="true noise of odometry, of the stated"),
     "gyro-bias": Fault(0.5 * math.pi / 180.0, ("systematic odometry_theta_time",), about="rad/s"),
-    "wheel-radius": Fault(
-        1.03,
-        ("systematic odometry_[xy]_distance", "systematic odometry_theta_turn", "systematic odometry_scale"),
-        FACTOR,
-    ),
+    "wheel-radius": Fault(1.03, ("systematic odometry_[xy]_distance", "systematic odometry_theta_turn",
+                                 "systematic odometry_scale"), FACTOR),
     "wheel-base": Fault(1.05, ("systematic odometry_theta_turn",), FACTOR, about="turns as read, of the true"),
     "stride": Fault(1.05, ("systematic odometry_x_distance",), FACTOR, about="ways as read; turns are right"),
-    "current": Fault(
-        0.06,
-        ("systematic odometry_current*",),
-        about="units/s in which all drifts to one side of the world, unseen by odometry",
-    ),
+    "current": Fault(0.06, ("systematic odometry_current*",),
+                     about="units/s in which all drifts to one side of the world, unseen by odometry"),
     "lateral-slip": Fault(0.02, ("systematic odometry_y_distance",), about="sideways, of the way forward"),
     "range-sigma": Fault(2.0, ("sigma z1",), FACTOR, about="true noise of z1, of the stated"),
     "sensor-sigma": Fault(2.0, ("sigma z",), FACTOR, about="true noise of both coordinates, of the stated"),
@@ -77,12 +71,11 @@ FAULTS: Mapping[str, Fault] = {
     "map-moved": Fault(0.5, MAPPED, tasks=MAP, about="units that one landmark stands off"),
     "map-scale": Fault(1.02, MAPPED, FACTOR, tasks=MAP),
     "shared-label": Fault(1.0, ("label *", "landmark *", "pairings *"), labels=True, about="pairs of one label"),
-    "turn-first": Fault(
-        1.0, ("systematic odometry_y_turn", "systematic odometry_integration", *TURNED), about="share of the turn"
-    ),
+    "turn-first": Fault(1.0, ("systematic odometry_y_turn", "systematic odometry_integration", *TURNED),
+                        about="share of the turn"),
     "interval-end": Fault(1.0, (*LATE, "integration *", "stamp *"), about="frames that odometry is stamped late"),
     "mirrored": Fault(1.0, ("mirrored *", "input side"), about="bearings to the other side"),
-}
+}  # fmt: skip
 """By name. What the diagnosis calls them may change: then `right` does, and nothing else here."""
 
 

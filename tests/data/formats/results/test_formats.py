@@ -283,6 +283,13 @@ def test_stamps_of_their_own_file_titles_and_camera_axes_of_numbered_poses(tmp_p
     assert any("its axes are a camera's" in note for note in read_path("c.txt").notes)
 
 
+def test_a_truth_takes_no_column_of_the_estimate_beside_it(tmp_path):
+    rows = "\n".join(f"{x},{y},{k},{x},{y}" for k, (x, y, _) in enumerate(PLANE))
+    (tmp_path / "a.csv").write_text(f"x,y,z,gtx,gty\n{rows}\n")
+    truth = Manner(columns={"x": "gtx", "y": "gty"}, true=True, rows=True)
+    assert read_path(str(tmp_path / "a.csv"), truth).space is None
+
+
 def test_of_objects_one_may_lack_what_all_others_have(tmp_path):
     rows = [{"t": k, "x": np.array([p["x"]]), "p": np.array([[p["y"]], [p["yaw"]]])} for k, p in enumerate(FLAT)]
     (tmp_path / "a.pkl").write_bytes(pickle.dumps([{"t": -1, "x": 0, "p": False}, *rows]))

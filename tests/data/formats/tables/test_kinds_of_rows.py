@@ -278,6 +278,10 @@ def test_a_field_in_quotes_has_several_lines_and_a_stamp_two_columns(read):
     text = "time_sec,time_nanosec,x,y,yaw,ranges\n" + "\n".join(rows)
     log, _ = read({"a.csv": text}, "--scans", "a.csv", "--scanner=0deg,90deg,8m", "--columns", "t=time_sec")
     assert log.recorded.time == pytest.approx(7.0 + 0.25 * np.arange(9))
+    text = text.replace("time_sec", "whole").replace("time_nanosec", "part")
+    columns = ("--columns", "t=whole+part")
+    same, _ = read({"a.csv": text}, "--scans", "a.csv", "--scanner=0deg,90deg,8m", *columns)
+    assert same.recorded.time == pytest.approx(log.recorded.time)
     assert log.recorded.scans.ranges == pytest.approx(np.tile([1.0, 2.0, 3.0, 4.0], (9, 1)))
 
 
@@ -359,9 +363,10 @@ def test_odometry_and_truth_in_one_row_of_several_runs(convert, unread):
     log, _ = convert({"a.csv": text}, "table", "a.csv:run=2", "out", "--truth", "a.csv:run=2")
     assert (len(log.recorded.observations.z), log.recorded.increments.mean[1, 0]) == (9, pytest.approx(1.0))
     assert log.truth.pose[:, 0] == pytest.approx(np.arange(9))
-    bare = "\n".join(row.rsplit(",", 2)[0] for row in text.splitlines())
+    bare = text.replace(",range,bearing", ",distance_m,way")  # names that nobody states are no observations
     log, said = convert({"b.csv": bare}, "table", "b.csv:run=1", "out", "--truth", "b.csv:run=1")
     assert len(log.recorded.observations.z) == 0
+    assert len(log.recorded) == 9, "all rows"
     assert "odometry and truth alone; observations, if it has some, are named as in --columns range=DIST" in said
     assert "odometry is v and omega" in convert({"a.csv": text}, "table", "a.csv:run=1", "out")[1]
 
