@@ -161,9 +161,8 @@ def _of_topic(lines: list[tuple[int, str]], topic: str) -> list[tuple[int, str]]
     rows[0] = [names[j][len(topic) + 1 :] if j in below else name for j, name in enumerate(rows[0])]
     return [
         (i, separator.join(row[j].replace(separator, " ") for j in (*stamps, *below) if j < len(row)))
-        for (i, _), row in zip(filled, rows, strict=True)
-        if any(j < len(row) and row[j] for j in below)
-    ]
+        for (i, _), row in zip(filled, rows, strict=True) if any(j < len(row) and row[j] for j in below)
+    ]  # fmt: skip
 
 
 def kinds_of(path: Path, rows: Sequence[Sequence[str]]) -> str:

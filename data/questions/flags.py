@@ -13,6 +13,7 @@ from data.sensors import RELATIVE_POINT
 QUANTITIES = {
     "velocities": ("odometry.v", "odometry.omega"), "poses": ("odometry.x,odometry.y", "odometry.theta"),
     "steps": ("odometry.dx,odometry.dy", "odometry.dtheta"), "sideways": ("odometry.v,odometry.vy", "odometry.omega"),
+    "course": ("odometry.v", "odometry.theta"),
 }  # fmt: skip
 """Columns of lengths and of angles of each kind of odometry in tables."""
 

@@ -83,10 +83,9 @@ def simulate(mixed: Mixed, seed: int, name: str | None = None) -> Log:
     closures, closure_inlier = _closures(mixed, log.truth.pose, closure_rng, outlier_rng)
     recorded = replace(log.recorded, fixes=fixes, closures=closures)
     truth = replace(
-        log.truth,
-        fix_inlier=None if fixes is None else fix_inlier,
+        log.truth, fix_inlier=None if fixes is None else fix_inlier,
         closure_inlier=None if closures is None else closure_inlier,
-    )
+    )  # fmt: skip
     return replace(log, recorded=recorded, truth=truth, source={**log.source, "kind": "mixed"})
 
 

@@ -235,9 +235,8 @@ def judged_runs(
     """
     counts = {
         (str(r["estimator"]), str(r["association"]), str(r["phase"])): Counts(*(int(value_of(r, c)) for c in OUTCOMES))
-        for r in outcomes
-        if not is_blank(r.get("fp"))
-    }
+        for r in outcomes if not is_blank(r.get("fp"))
+    }  # fmt: skip
     drawn = {t.association: t for t in diagnoses if t.twins}
     found = []
     for run in map(_typed, metrics):

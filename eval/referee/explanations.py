@@ -382,9 +382,8 @@ def _correlations(e: Evidence, alike: float) -> list[Explanation]:
     usual = np.where(np.isfinite(e.observations[before]), np.einsum("qii->qi", e.redundancy.successive) / scale, np.nan)
     lasting = [
         _lasting(correlation(values[before], values[after]), float(np.nanmean(own)), len(before))
-        for values, own in zip(e.observations.T, usual.T, strict=True)
-        if np.isfinite(values[before]).any()
-    ]
+        for values, own in zip(e.observations.T, usual.T, strict=True) if np.isfinite(values[before]).any()
+    ]  # fmt: skip
     if not lasting:
         return []
     r, ordered = max(r for r, _ in lasting), sum(more for _, more in lasting)

@@ -88,9 +88,8 @@ def certainty(log: Log, run: Run) -> dict[str, float]:
     return {
         **dict(zip(("median", "largest", "last"), sizes, strict=True)),
         "heading": 3.0 * math.degrees(math.sqrt(max(float(path.covariance[-1, 2, 2]), 0.0))),
-        "inside": value_of(row, "inside_3sigma"),
-        "nees": value_of(row, "nees_pose"),
-    }
+        "inside": value_of(row, "inside_3sigma"), "nees": value_of(row, "nees_pose"),
+    }  # fmt: skip
 
 
 def _motion(folder: Path, output: Output, trial: Trial) -> Section:

@@ -27,10 +27,10 @@ from data.terminal import counted
 
 KINDS = {
     "velocities": ("v", "omega"), "poses": ("x", "y", "theta"), "steps": ("dx", "dy", "dtheta"),
-    "ticks": ("left", "right"), "car": ("v", "steering"), "sideways": ("v", "vy", "omega"),
+    "ticks": ("left", "right"), "car": ("v", "steering"), "sideways": ("v", "vy", "omega"), "course": ("v", "theta"),
 }  # fmt: skip
 """Columns of each kind of odometry; steps are the motion since the row before, in the body frame there, and may lack
-dy; a car has speeds of its rear axle and angles of its front wheels. vy, to the left, is read where it is stated."""
+dy; a car has speeds of its rear, angles of its front wheels; vy (to the left), and v beside theta, must be stated."""
 STAMPED = ("velocities", "car")  # Kinds that need stamps, and whose noise is of velocities
 
 
@@ -114,7 +114,11 @@ def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | Non
     pose = {"poses": pose_columns(file, columns, role), "steps": ("dx", "dtheta")}
     if columns.stated(role, ("vy",)) or "vy" in columns.given:
         return "sideways"
-    found = [k for k, qs in KINDS.items() if k != "sideways" and columns.has(file, role, pose.get(k, qs))]
+    turns = any(columns.has(file, role, (q,)) for q in ("omega", "steering"))
+    if (columns.stated(role, ("v",)) or "v" in columns.given) and columns.has(file, role, ("theta",)) and not turns:
+        return "course"
+    kinds = {k: pose.get(k, qs) for k, qs in KINDS.items() if k not in ("sideways", "course")}
+    found = [k for k, qs in kinds.items() if columns.has(file, role, qs)]
     stated = [k for k in found if columns.stated(role, KINDS[k])]
     if len(found) > 1 and not stated and columns.taken(file, role, ("x", "y"), truth):
         found.remove("poses")
@@ -150,7 +154,7 @@ def read_odometry(
     if kind == "steps" and columns.find(file, role, "dy") is None:
         columns.notes.append(f"{file.path.name}: assumed: steps have no dy, so the robot moves ahead alone")
         quantities = ("dx", "dtheta")
-    moved = kind in (*STAMPED, "sideways")
+    moved = kind in (*STAMPED, "sideways", "course")
     if moved:
         _intervals(file, columns, role)
     stamped, period = columns.find(file, role, "t") is not None, columns.period
@@ -211,9 +215,10 @@ def read_odometry(
         pose = np.stack([values["x"], values["y"], headings(values, columns.units.factor(role, "theta"))], axis=-1)
         pose = columns.turned(file, role, time, pose)
         pose[:, 2] = se2.wrap_angle(pose[:, 2])
-    elif kind == "sideways":  # each row holds until the next, along arcs
-        held = np.minimum(np.diff(time), longest_hold(time))[:, None] * table.stack(KINDS[kind])[:-1]
-        ahead, left = se2.along_arcs(held[:, 0], held[:, 2]), se2.along_arcs(held[:, 1], held[:, 2])
+    elif kind in ("sideways", "course"):  # each row holds until the next, along arcs
+        held = np.minimum(np.diff(time), longest_hold(time))
+        turn = held * values["omega"][:-1] if kind == "sideways" else np.diff(np.unwrap(values["theta"]))
+        ahead, left = (se2.along_arcs(held * values.get(q, 0.0 * time)[:-1], turn) for q in ("v", "vy"))
         ahead[:, :2] += left[:, 1::-1] * [-1.0, 1.0]
         pose = se2.dead_reckoned(np.zeros(3), np.concatenate([np.zeros((1, 3)), ahead]))
     elif kind == "steps":

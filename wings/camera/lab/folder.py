@@ -528,11 +528,10 @@ def _records(recording: VisualRecording) -> Iterator[dict[str, NDArray[Any]]]:
             raise DataError(f"frame {count} of the recording: {what}")
         xyz = np.asarray(frame.xyz, np.float32) / MM
         yield {
-            "timestamp": np.array(frame.time, np.float64),
-            "commands": np.array([frame.v, frame.omega], np.float64),
+            "timestamp": np.array(frame.time, np.float64), "commands": np.array([frame.v, frame.omega], np.float64),
             "rgb": np.asarray(frame.rgb, np.uint8),
             "xyz": np.where(np.isfinite(xyz).all(axis=-1, keepdims=True), xyz, np.float32(0.0)),
-        }
+        }  # fmt: skip
         count += 1
     if count < len(recording):
         raise DataError(f"the recording has {count} frames; the stated {len(recording)} are needed")

@@ -58,16 +58,17 @@ def test_speed_and_steering_of_a_car(converted):
     assert asked.origins["units"] is Origin.GIVEN
 
 
-def test_a_robot_that_moves_sideways(converted):
+def test_a_robot_that_moves_sideways_or_along_a_heading_that_is_read(converted):
     """Each row's velocities hold along an arc until the next row; finely stepped they lead to the same poses."""
-    v, vy, omega = np.full(300, 0.5), np.linspace(-0.3, 0.4, 300), np.full(300, 0.2)
-    fine = 2000
+    v, vy, omega, fine = np.full(300, 0.5), np.linspace(-0.3, 0.4, 300), np.full(300, 0.2), 2000
     heading = np.repeat(0.2 * T, fine) + np.tile((np.arange(fine) + 0.5) / fine * 0.02, 300)
     turn = np.exp(1j * heading) * np.repeat(v + 1j * vy, fine) * 0.1 / fine
     place = np.append(0.0, turn.cumsum()[fine - 1 : -1 : fine])
     log, _ = converted(text("time,vx,vy,wz", T, v, vy, omega), "--columns", "v=vx,vy=vy,omega=wz")
-    moved = dead_reckoned(np.zeros(3), log.recorded.increments.mean)
-    assert moved[:30, 0] + 1j * moved[:30, 1] == pytest.approx(place[::10], abs=1e-6)
+    course, _ = converted(text("time,s,yaw", T, V, THETA), "--columns", "v=s")
+    for same, way in ((log, place), (course, XY[0] + 1j * XY[1])):
+        moved = dead_reckoned(np.zeros(3), same.recorded.increments.mean)
+        assert moved[:30, 0] + 1j * moved[:30, 1] == pytest.approx(way[::10], abs=1e-6)
     assert "vy" in converted(text("time,vx,vy,wz", T, v, vy, omega), "--columns", "v=vx,omega=wz")[1], "not used: said"
 
 
