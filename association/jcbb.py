@@ -383,7 +383,6 @@ def _warned(result: Search) -> IntArray:
     if not result.complete:
         warnings.warn(
             f"JCBB stopped after {result.nodes} nodes with {result.pairings} pairings; they may not be the most",
-            SearchBudgetWarning,
-            stacklevel=3,
-        )
+            SearchBudgetWarning, stacklevel=3,
+        )  # fmt: skip
     return result.decisions

@@ -160,6 +160,8 @@ def bytes_of(path: Path, *, missing: str = "") -> bytes:
     except OSError as error:
         gone = missing if isinstance(error, FileNotFoundError) else ""
         raise DataError.at(path, gone or f"cannot be read: {error.strerror}") from None
+    except ValueError:
+        raise DataError.at(path, "not a file name") from None
 
 
 def is_number(field: str | bytes) -> bool:

@@ -146,10 +146,9 @@ def make_model(inputs: Inputs, odometry: Odometry | None, groups: Collection[str
     if "motion" in groups:
         if odometry is None:
             motion = {
-                "along": "factor on the sigma of increments, forward",
-                "heading": "the same, heading and sideways",
+                "along": "factor on the sigma of increments, forward", "heading": "the same, heading and sideways",
                 "lateral": "the same, sideways, beyond that of heading",
-            }
+            }  # fmt: skip
         elif odometry.model.noise.kind in WITH_ALPHAS:
             motion = {f"alpha{i + 1}": f"factor on alphas[{i}]" for i in range(len(odometry.model.noise.alphas))}
         else:

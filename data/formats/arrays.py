@@ -20,7 +20,7 @@ from data.formats.messages import file_and_word
 from data.se2 import Array
 
 PICKLES = (".pkl", ".pickle", ".p")
-SUFFIXES = (".mat", ".npz", ".npy", ".json", *PICKLES)
+SUFFIXES = (".mat", ".npz", ".npy", ".json", ".h5", ".hdf5", *PICKLES)
 WIDE = (12, 30)
 """Most rows and fewest columns of a matrix whose rows are the columns of a table: a state at each of many instants."""
 

@@ -8,7 +8,29 @@ from itertools import pairwise, zip_longest
 from pathlib import Path
 
 from data.columns.named import STAMP
-from data.csv_table import is_number
+from data.csv_table import bytes_of, is_number
+from data.errors import DataError
+
+OTHERS = {
+    b"PK\x03\x04": "a spreadsheet or zip", b"\x89HDF": "HDF5 (named .h5 it is read as arrays)", b"PAR1": "Parquet",
+    b"<?xml": "XML, such as GPX or KML", b"<gpx": "GPX", b"SQLite": "a database", b"\x1f\x8b": "packed by gzip",
+}  # fmt: skip
+"""What files are that are no rows of text, by their first bytes."""
+
+
+def read_lines(path: Path) -> tuple[list[tuple[int, str]], str]:
+    """The numbered rows of a file, of FILE:WORD those with the word, and that; DataError for a file that is no text."""
+    file, word = file_and_word(path)
+    content = bytes_of(file, missing="no such file")
+    if other := next((what for start, what in OTHERS.items() if content.startswith(start)), ""):
+        raise DataError.at(path, f"{other}, not a text file; save its rows as CSV")
+    try:
+        text = content.decode("utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")
+    if "\0" in text:
+        raise DataError.at(path, "not a text file; a CSV file is needed")
+    return with_word(numbered_rows(text), word), word
 
 
 def numbered_rows(text: str) -> list[tuple[int, str]]:

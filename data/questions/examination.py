@@ -180,10 +180,9 @@ class Examination:
         if c.truth is not None:
             yield self.searched(Kind.TURNED, "truth.theta", readings.heading_off, TURNS)
         yield from (
-            self.judged(r)
-            for r in (readings.mounted(c, self.samples), readings.lever_arm(c, self.samples))
+            self.judged(r) for r in (readings.mounted(c, self.samples), readings.lever_arm(c, self.samples))
             if r is not None
-        )
+        )  # fmt: skip
         if np.ptp(c.u[1:], axis=0).any():  # steps that are all equal are a motion prior, whose length is a guess
             for of in SCALED:
                 if self._told(readings.PARTS.get(of, Part.OBSERVATIONS)):

@@ -63,9 +63,8 @@ class Mixed(Arena):
     outliers: float = 0.05
 
     positive: ClassVar[tuple[str, ...]] = (
-        *Arena.positive,
-        *("sigma_gps", "sigma_compass", "sigma_closure", "sigma_closure_heading", "closure_radius"),
-    )
+        *Arena.positive, *("sigma_gps", "sigma_compass", "sigma_closure", "sigma_closure_heading", "closure_radius"),
+    )  # fmt: skip
     signed: ClassVar[tuple[str, ...]] = (*Arena.signed, "lever_x", "lever_y", "mount_compass")
 
     def __post_init__(self) -> None:

@@ -112,10 +112,9 @@ def _with_twins(
     for before, upto in pairwise([0, *looks]):
         jobs = [
             (Job((i, seed), one_twin, (source, seed)), folder / f"{seed}.json")
-            for i, (source, folder) in sources.items()
-            if not (before and settled(real[i][1], own(i), slopes[i]))
+            for i, (source, folder) in sources.items() if not (before and settled(real[i][1], own(i), slopes[i]))
             for seed in seeds[before:upto]
-        ]
+        ]  # fmt: skip
         kept |= cached(jobs, sampled.load, sampled.save, options.execution, missing, progress)
     judgements = []
     for i, (group, sample, smoother) in enumerate(real):

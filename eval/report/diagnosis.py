@@ -205,9 +205,8 @@ def _deciding(trust: Trust) -> tuple[dict[str, object], ...]:
             alike.setdefault(tuple(counts.mean(axis=0).tolist()), []).append(name)
     return tuple(
         {"estimators": tuple(names), "wrong": fp, "missed": fn, "decisions": sum(c), "right": (tp + tn) / sum(c)}
-        for c, names in alike.items()
-        for tp, tn, fp, fn in [c]
-    )
+        for c, names in alike.items() for tp, tn, fp, fn in [c]
+    )  # fmt: skip
 
 
 UNTOLD = 0.9

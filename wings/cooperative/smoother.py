@@ -70,10 +70,9 @@ def smooth_team(
         o, number = member.observations, landmark[row][used]
         seen = (member.sensor, o.z[used], o.R[used], first[row] + o.frame[used], number)
         made = (
-            factors.landmark_factors(*seen)
-            if known is None
+            factors.landmark_factors(*seen) if known is None
             else factors.known_landmark_factors(*seen, known.positions(number), int(observed))
-        )
+        )  # fmt: skip
         every += [f for each in made for f in each.measured]
         own += [value for each in made for value in each.start_values]
         paired = team.of(row)[sighted[row] != DISCARD]

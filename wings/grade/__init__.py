@@ -6,10 +6,9 @@ from data.wing import Wing
 
 HERE = Path(__file__).parent
 wing = Wing(
-    "grade",
-    commands={"grade": ("wings.grade.command:main", "grade a student's functions, or a whole class")},
+    "grade", commands={"grade": ("wings.grade.command:main", "grade a student's functions, or a whole class")},
     templates="wings.grade",
-)
+)  # fmt: skip
 
 
 def handout(assignment: str) -> tuple[str, str]:

@@ -651,9 +651,8 @@ QUESTIONS = (
 HEADS = (
     "Online. TP to FN: outcomes of the decisions; RMSE: of the position; in 3σ: frames [%] with the position error"
     " inside 3σ (98.9 expected); landmarks: at the end; state: mean number of state entries; usable: no, if the run is"
-    " implausible, lost, or mean pose NEES is above "
-    f"{ASTRAY_NEES:g}. "
-)
+    " implausible, lost, or mean pose NEES is above " f"{ASTRAY_NEES:g}. "
+)  # fmt: skip
 LOST = "A run that this question needs stopped before the end; see Failures."
 NAMES_OF_METHODS = (
     "Methods by their names on the command line: known: by labels; jcbb-first: the lab's JCBB, keeps the first of"

@@ -27,17 +27,15 @@ def log_of_keys(name: str, log: Log, made: KeyLog, motion: str) -> Log:
     beside = f", and {more} more that relations name" if more else ""
     learned = made.error is not None
     scale = f"{made.claimed:.3g} times what scan matching states, " + (
-        f"learned from the log's own loops (+- {made.error:.1g}): their NIS is no test of it"
-        if learned
+        f"learned from the log's own loops (+- {made.error:.1g}): their NIS is no test of it" if learned
         else "as too few loops tell it"
-    )
+    )  # fmt: skip
     prior = "by scans alone" if is_unknown(log.recorded.increments) else "with the wheels as its prior"
     moved = f"scan matching, {prior}" if motion == SCAN_MATCH else "that of the wheels"
     notes = [
-        f"{keys} of {of}{beside}; the motion is {moved}.",
-        f"Variances of scan matches and loops are {scale}.",
+        f"{keys} of {of}{beside}; the motion is {moved}.", f"Variances of scan matches and loops are {scale}.",
         "A closure is there at its later frame, some key poses before the front end believed it.",
-    ]
+    ]  # fmt: skip
     if motion == ODOMETRY:
         notes.append("Where wheels slip, filters' gate refuses right matches; --gate-poses none switches it off.")
     label = made.label if len(made.label) else None

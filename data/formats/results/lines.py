@@ -15,7 +15,7 @@ import numpy as np
 from data.csv_table import cut_off, is_number, symmetric
 from data.errors import LARGEST, DataError, UsageError
 from data.formats.arrays import ELEMENT, columns_of, is_arrays
-from data.formats.messages import cut_end, file_and_word, kinds_of, numbered_rows, with_word
+from data.formats.messages import cut_end, kinds_of, read_lines
 from data.formats.results import path as paths
 from data.formats.results.space import UNIT, full, known_only, on_plane, rotations, translation_first
 from data.se2 import Array
@@ -80,16 +80,8 @@ def read_text(path: Path) -> Text:
         if ELEMENT in names:  # rows below hold what is within an object
             rows = tuple(row for row in rows if not row[names.index(ELEMENT)])
         return Text(path, (names, *rows), tuple(range(len(rows) + 1)), (), True, {})
-    file, word = file_and_word(path)
-    try:
-        content = file.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise DataError.at(path, "no such file") from None
-    except UnicodeDecodeError:
-        raise DataError.at(path, "not a text file; docs/results-files.md lists the formats") from None
-    except OSError as fault:
-        raise DataError.at(path, f"cannot be read: {fault.strerror}") from None
-    lines = [(i, line.strip()) for i, line in with_word(numbered_rows(content), word)]
+    read, word = read_lines(path)
+    lines = [(i, line.strip()) for i, line in read]
     comments = tuple((i, line) for i, line in lines if line.startswith(("#", "%")))
     data = [(i, line) for i, line in lines if line and not line.startswith(("#", "%"))]
     if not data:

@@ -25,7 +25,7 @@ from data.dates import DATES, DMY, EXAMPLE, MDY, is_date, seconds_of, unit_of, w
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import ELEMENT, columns_of, is_arrays
-from data.formats.messages import cut_end, file_and_word, kinds_of, numbered_rows, parts_of, whole_names, with_word
+from data.formats.messages import cut_end, kinds_of, parts_of, read_lines, whole_names
 from data.formats.results.reading import RATES, TRUE, role_of, topics_in, words_of
 from data.inputs import IntArray
 from data.notice import Notice
@@ -169,23 +169,9 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
     if is_arrays(path):
         columns, values = columns_of(path, stated, odometry)
         return TextTable(path, columns, values, np.arange(1, len(values) + 1), named=True)
-    file, word = file_and_word(path)
-    try:
-        content = file.read_bytes()
-    except OSError as error:
-        raise DataError.at(path, f"cannot be read: {error.strerror}") from None
-    except ValueError:
-        raise DataError.at(path, "not a file name") from None
-    try:
-        text = content.decode("utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
-    except UnicodeDecodeError:
-        text = content.decode("latin-1")
-    lines = numbered_rows(text)
-    lines = with_word(lines, word)
+    lines, word = read_lines(path)
     if long := next((i for i, line in lines if len(line) > csv.field_size_limit()), None):
         raise DataError.at(path, f"more than {csv.field_size_limit()} characters", line=long)
-    if "\0" in text:
-        raise DataError.at(path, "not a text file; a CSV file is needed")
     numbered = [(i, line) for i, line in lines if line.strip(" ;,|")]
     plain = [(i, line.replace(",\t", ",")) for i, line in numbered if not line.lstrip().startswith(COMMENT)]
     if not plain:
@@ -252,9 +238,8 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
         j = next((shown.index(n) for n in others if n in shown), None)
         if j is not None and all(r[j].isdecimal() and r[k].lstrip("-").isdecimal() for r in rows):
             rows, shown[k] = (
-                [(*r[:k], f"{r[k]}.{int(r[j]):09d}", *r[k + 1 :]) for r in rows],
-                stem if last == "." else name,
-            )
+                [(*r[:k], f"{r[k]}.{int(r[j]):09d}", *r[k + 1 :]) for r in rows], stem if last == "." else name,
+            )  # fmt: skip
     for both in {name for name in stated if "+" in name and {*name.split("+")} <= {*shown}}:  # seconds and nanoseconds
         j, k = (shown.index(part) for part in both.split("+"))
         rows, shown = [(*r, f"{r[j]}.{r[k]:0>9}" if r[j] and r[k] else "") for r in rows], [*shown, both]
@@ -379,9 +364,8 @@ def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
     columns = list(labels.values())
     rows = [
         (*(row[j] for j in rest), *(row[j] for j in columns[k].values()), *[named[k]] * own)
-        for row, some in zip(file.rows, seen, strict=True)
-        for k in some
-    ]
+        for row, some in zip(file.rows, seen, strict=True) for k in some
+    ]  # fmt: skip
     line = np.repeat(file.line, list(map(len, seen)))
     names = (*(file.names[j] for j in rest), *patterns, *["label"] * own)
     return replace(file, names=names, rows=tuple(rows), line=line, named=True)

@@ -434,10 +434,9 @@ def _stroke(label: str, colour: str = GOOD, **look: Any) -> Line2D:
 def _background_handles(gate: float | None) -> list[Line2D | Patch]:
     inside = f"d² inside {SHOWN_WITHOUT_GATE:g} (no gate: every pair is compatible)"
     return [
-        _mark("+", "predicted landmark, 3σ ellipse", DULL),
-        _mark("$7$", "landmark number", LANDMARK, markersize=4.0),
+        _mark("+", "predicted landmark, 3σ ellipse", DULL), _mark("$7$", "landmark number", LANDMARK, markersize=4.0),
         _stroke(inside if gate is None else "individually compatible pair", FAINT, linewidth=0.8),
-    ]
+    ]  # fmt: skip
 
 
 def _handles(m: Matching) -> list[Line2D | Patch]:
