@@ -705,7 +705,8 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
     second = next((t for t in topics if t.role is Role.SECOND), None)
     if not seen and not fixed and laser is None and second is None:
         reasons = "; ".join(text.rstrip(".") for text in left) or "no topic of scans, detections or fixes"
-        raise DataError.at(path, f"nothing beside the odometry: {reasons}; --list names what each topic becomes")
+        way = f"; as a path slamref score {path}:{odometry} TRUTH compares it"
+        raise DataError.at(path, f"nothing beside the odometry: {reasons}; --list names what each topic becomes{way}")
     left += [f"assumed: {flag}" for flag in wanted.assumed.values()]
     if unread := [t.name for t in topics if t.role is Role.NOTHING and t.count and t.why != "--skip"]:
         left.append(f"Left out ({path.name} --list says why): {', '.join(unread)}.")
