@@ -21,6 +21,7 @@ from data.se2 import Array
 
 PICKLES = (".pkl", ".pickle", ".p")
 SUFFIXES = (".mat", ".npz", ".npy", ".json", ".h5", ".hdf5", *PICKLES)
+MATRICES = ((4, 4), (3, 4))  # Shapes of poses in space
 WIDE = (12, 30)
 """Most rows and fewest columns of a matrix whose rows are the columns of a table: a state at each of many instants."""
 
@@ -135,9 +136,6 @@ def _flat(value: Mapping[str, Any], within: str = "") -> dict[str, Any]:
         else:
             found[within + key] = item.ravel() if np.shape(item) in MATRICES else item
     return found
-
-
-MATRICES = ((4, 4), (3, 4))  # Shapes of poses in space
 
 
 def columns_of(

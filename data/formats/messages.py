@@ -11,18 +11,17 @@ from data.columns.named import STAMP
 from data.csv_table import bytes_of, is_number
 from data.errors import DataError
 
-OTHERS = {
+_OTHERS = {  # What files are that are no rows of text, by their first bytes
     b"PK\x03\x04": "a spreadsheet or zip", b"\x89HDF": "HDF5 (named .h5 it is read as arrays)", b"PAR1": "Parquet",
     b"<?xml": "XML, such as GPX or KML", b"<gpx": "GPX", b"SQLite": "a database", b"\x1f\x8b": "packed by gzip",
 }  # fmt: skip
-"""What files are that are no rows of text, by their first bytes."""
 
 
-def read_lines(path: Path) -> tuple[list[tuple[int, str]], str]:
-    """The numbered rows of a file, of FILE:WORD those with the word, and that; DataError for a file that is no text."""
+def read_lines(path: Path) -> tuple[list[tuple[int, str]], str, str]:
+    """Numbered rows of a file, of FILE:WORD those with it, the word, and what is said of titles. DataError: no text."""
     file, word = file_and_word(path)
     content = bytes_of(file, missing="no such file")
-    if other := next((what for start, what in OTHERS.items() if content.startswith(start)), ""):
+    if other := next((what for start, what in _OTHERS.items() if content.startswith(start)), ""):
         raise DataError.at(path, f"{other}, not a text file; save its rows as CSV")
     try:
         text = content.decode("utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
@@ -30,7 +29,35 @@ def read_lines(path: Path) -> tuple[list[tuple[int, str]], str]:
         text = content.decode("latin-1")
     if "\0" in text:
         raise DataError.at(path, "not a text file; a CSV file is needed")
-    return with_word(numbered_rows(text), word), word
+    lines, said = _tidied(numbered_rows(text))
+    return with_word(lines, word), word, said
+
+
+def _tidied(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], str]:
+    """Lines of rows without `sep=;`, titles above the names and the names once more, and what is said of titles; `//`
+    begins comments, units below names stand behind them, words for nothing are NaN.
+    """
+    lines = [(i, re.sub(r"^\s*//", "#", re.sub(NOTHING, "nan", re.sub(ALONE, r"\1", line)))) for i, line in lines[:-1]
+             if not re.fullmatch(r"sep=.\s*", line)] + lines[-1:]  # fmt: skip
+    top = [pair for pair in lines[:LEADING] if pair[1].strip() and pair[1].lstrip()[0] not in "#%"]
+    mark = next((m for m in ";\t|," if top and m in top[-1][1]), None)
+    rows = [[f.strip(' "') for f in line.strip().rstrip(mark).split(mark)] for _, line in top]
+    first = next((k for k, row in enumerate(rows) if 2 * sum(map(is_number, row)) >= len(row)), 0)
+    wide = [len(row) == len(rows[first]) for row in rows]
+    if first < 1 or not all(wide[first - 1 : first + 2]):
+        return lines, ""
+    head, above = top[first - 1], first - 1
+    if first > 1 and wide[first - 2] and all(re.fullmatch(UNIT, f) for f in rows[first - 1]):
+        named = [f"{n}[{u.strip('[]()')}]" if u else n for n, u in zip(*rows[first - 2 : first], strict=True)]
+        names, head, above = top[first - 2], (head[0], (mark or " ").join(named)), first - 2
+        lines = [head if pair == names else pair for pair in lines if pair != top[first - 1]]
+    kept = [pair for pair in lines if pair not in top[:above] and (pair == head or pair[1] != head[1])]
+    return kept, "; ".join(f"line {i} is a title above the names: {line.strip()[:60]}" for i, line in top[:above])
+
+
+ALONE, NOTHING = r"\[([-+.\deE]+)\]", r"(?<![^\s,;])(?:N/A|n/a|None|null|NULL|-)(?=$|[\s,;])"
+UNIT = r"[\[(]?(?:|-|1|[mun]?s|sec|[mck]?m|rad|deg|°|k?m/s|mm/s|km/h|rad/s|deg/s|°/s)[\])]?"
+LEADING = 30  # First lines among which the first row of numbers is looked for
 
 
 def numbered_rows(text: str) -> list[tuple[int, str]]:
@@ -206,7 +233,7 @@ def cut_end(rows: Sequence[Sequence[str]], line: int) -> str:
     *others, last = rows
     if len(others) < LEAST or len({len(row) for row in others[1:]}) > 1 or len(last) > len(others[-1]) or not last:
         return ""
-    broken = last[-1] and not is_number(last[-1]) and all(is_number(row[len(last) - 1]) for row in others[1:])
+    broken = any(f and not is_number(f) and all(is_number(row[j]) for row in others[1:]) for j, f in enumerate(last))
     if len(last) == len(others[-1]) and not broken:
         return ""
     return f"line {line}, the last one, is cut off and left out: {','.join(last)[:60]!r}"

@@ -68,9 +68,8 @@ def split(line: str, separator: str | None) -> tuple[str, ...]:
     """Fields of a line; None: at blanks."""
     if separator is None:
         return tuple(line.split())
-    quoted = '"[' in line or '"(' in line  # a list in one field
     read = csv.reader([line], delimiter=separator, skipinitialspace=True)
-    return tuple(f.strip() for f in (next(read) if quoted else line.split(separator)))
+    return tuple(f.strip() for f in (next(read) if '"' in line else line.split(separator)))
 
 
 def read_text(path: Path) -> Text:
@@ -80,21 +79,18 @@ def read_text(path: Path) -> Text:
         if ELEMENT in names:  # rows below hold what is within an object
             rows = tuple(row for row in rows if not row[names.index(ELEMENT)])
         return Text(path, (names, *rows), tuple(range(len(rows) + 1)), (), True, {})
-    read, word = read_lines(path)
+    read, word, title = read_lines(path)
     lines = [(i, line.strip()) for i, line in read]
     comments = tuple((i, line) for i, line in lines if line.startswith(("#", "%")))
     data = [(i, line) for i, line in lines if line and not line.startswith(("#", "%"))]
     if not data:
         raise DataError.at(path, f"no line of data{f' of {word}' * bool(word)}; at least one is needed")
     separator = next((s for s in (",", ";") if s in data[0][1]), None)
-    fields = tuple(split(line, separator) for _, line in data)
+    commas = separator == ";" and not any("." in line for _, line in data)  # of decimals
+    fields = tuple(split(line.replace(",", ".") if commas else line, separator) for _, line in data)
     ended = fields[0][-1] == "" or len(fields[0]) < len(fields[-1])  # a last column with a name may be blank
     if separator is not None and ended and all(f[-1] == "" for f in fields[1:] or fields):  # a comma ends every line
         fields = tuple(f[:-1] if f[-1] == "" else f for f in fields)
-    heads = [sum(map(is_number, f)) for f in fields[:3]]
-    title = ""
-    if len(fields) > 3 and not heads[1] and len(fields[0]) != len(fields[1]) == len(fields[2]) == heads[2]:
-        title, fields, data = f"line {data[0][0]} is a title above the names, and left out", fields[1:], data[1:]
     if cut := cut_end(fields, data[-1][0]):
         fields, data = fields[:-1], data[:-1]
     header: dict[str, tuple[int, str]] = {}

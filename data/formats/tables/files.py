@@ -132,13 +132,6 @@ def _is_row(fields: Sequence[str]) -> bool:
     return bool(filled) and 2 * sum(is_number(f.replace(",", ".")) or is_date(f) for f in filled) >= len(filled)
 
 
-def _is_title(rows: Sequence[Sequence[str]]) -> bool:
-    """Whether the first of three rows is a title: few words and no numbers, above names of numbers."""
-    words, names = ([f for f in row if f] for row in rows[:2]) if len(rows) == 3 else ([], [])
-    few = len(words) > 0 and 2 * len(words) <= len(names) and not any(map(is_number, words + names))
-    return few and _is_row(rows[2]) and abs(len(rows[2]) - len(rows[1])) <= 1
-
-
 def _split(lines: Sequence[str], separator: str) -> list[tuple[str, ...]]:
     """Fields of each line."""
     if separator == " ":
@@ -169,7 +162,7 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
     if is_arrays(path):
         columns, values = columns_of(path, stated, odometry)
         return TextTable(path, columns, values, np.arange(1, len(values) + 1), named=True)
-    lines, word = read_lines(path)
+    lines, word, title = read_lines(path)
     if long := next((i for i, line in lines if len(line) > csv.field_size_limit()), None):
         raise DataError.at(path, f"more than {csv.field_size_limit()} characters", line=long)
     numbered = [(i, line) for i, line in lines if line.strip(" ;,|")]
@@ -184,10 +177,6 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
     number = np.array([i for i, _ in plain], np.int64)
     every = np.array([i for i, line in lines if not line.lstrip().startswith(COMMENT)])
     names: tuple[str, ...] | None = None
-    title = ""
-    if _is_title(rows[:3]):
-        title = f"line {number[0]} is a title above the names: {plain[0][1].strip()[:NAMES_SHOWN]}"
-        rows, number = rows[1:], number[1:]
     if seen and (found := _by_rows(rows, np.searchsorted(every, number).tolist(), len(every), odometry)):
         names, rows, row_of = found
         of = ",".join(names[:-1])

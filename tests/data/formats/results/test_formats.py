@@ -275,7 +275,7 @@ def test_stamps_of_their_own_file_titles_and_camera_axes_of_numbered_poses(tmp_p
     Path("b.txt").write_text(f"rmse = 0.0116\nstamp x y yaw\n{rows}\n")
     path = read_path("b.txt")
     assert path.pose == pytest.approx(PLANE)
-    assert "line 1 is a title above the names, and left out" in path.notes
+    assert "line 1 is a title above the names: rmse = 0.0116" in path.notes
     down = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  # a camera's axes from a robot's
     M = np.concatenate([down @ T[:, :3, :3] @ down.T, down @ T[:, :3, 3:]], axis=2)
     np.savetxt("c.txt", np.column_stack([np.arange(40), M.reshape(40, 12)]))
