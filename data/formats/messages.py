@@ -35,7 +35,7 @@ def read_lines(path: Path) -> tuple[list[tuple[int, str]], str, str]:
 
 def _tidied(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], str]:
     """Lines of rows without `sep=;`, titles above the names and the names once more, and what is said of titles; `//`
-    begins comments, units below names stand behind them, words for nothing are NaN.
+    begins comments, words for nothing are NaN.
     """
     lines = [(i, re.sub(r"^\s*//", "#", re.sub(NOTHING, "nan", re.sub(ALONE, r"\1", line)))) for i, line in lines[:-1]
              if not re.fullmatch(r"sep=.\s*", line)] + lines[-1:]  # fmt: skip
@@ -44,19 +44,14 @@ def _tidied(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], str]:
     rows = [[f.strip(' "') for f in line.strip().rstrip(mark).split(mark)] for _, line in top]
     first = next((k for k, row in enumerate(rows) if 2 * sum(map(is_number, row)) >= len(row)), 0)
     wide = [len(row) == len(rows[first]) for row in rows]
-    if first < 1 or not all(wide[first - 1 : first + 2]):
+    if first < 1 or any(wide[: first - 1]) or not all(wide[first - 1 : first + 2]):
         return lines, ""
-    head, above = top[first - 1], first - 1
-    if first > 1 and wide[first - 2] and all(re.fullmatch(UNIT, f) for f in rows[first - 1]):
-        named = [f"{n}[{u.strip('[]()')}]" if u else n for n, u in zip(*rows[first - 2 : first], strict=True)]
-        names, head, above = top[first - 2], (head[0], (mark or " ").join(named)), first - 2
-        lines = [head if pair == names else pair for pair in lines if pair != top[first - 1]]
-    kept = [pair for pair in lines if pair not in top[:above] and (pair == head or pair[1] != head[1])]
-    return kept, "; ".join(f"line {i} is a title above the names: {line.strip()[:60]}" for i, line in top[:above])
+    again = {line for _, line in top[:first]}
+    said = "; ".join(f"line {i} is a title above the names: {line.strip()[:60]}" for i, line in top[: first - 1])
+    return [pair for pair in lines if pair == top[first - 1] or pair[1] not in again], said
 
 
 ALONE, NOTHING = r"\[([-+.\deE]+)\]", r"(?<![^\s,;])(?:N/A|n/a|None|null|NULL|-)(?=$|[\s,;])"
-UNIT = r"[\[(]?(?:|-|1|[mun]?s|sec|[mck]?m|rad|deg|°|k?m/s|mm/s|km/h|rad/s|deg/s|°/s)[\])]?"
 LEADING = 30  # First lines among which the first row of numbers is looked for
 
 

@@ -105,16 +105,15 @@ def test_scans_beyond_the_odometry_are_left_out_and_said_and_their_stamps_are_us
     assert log.recorded.time[log.recorded.scans.frame].tolist() == [0.0, 0.5, 1.0, 1.5, 2.0]
 
 
-def test_bars_between_and_behind_fields_and_a_title_above_the_names_are_read(read):
+def test_bars_titles_and_words_for_nothing_are_read(read):
     rows = "".join(f"{k} | {0.5 * k} | -1.5 | 0.25 | 9 | \n" for k in range(5))
-    text = "Poses & places, as driven\n time | px | py | yaw |\tcov[1,1]\n" + rows
-    log, said = read(
-        {"o.txt": text, "f.csv": "t,x,y\n1,0,0\n2,1,0\n"}, "--fixes", "f.csv", "--columns",
-        "t=time,x=px,y=py,theta=yaw,fixes.t=t,fixes.x=x,fixes.y=y", "--prior", "0,0,0", "--prior-sigma", "1,1,1",
-        "--fix-sigma", "1,1",
-    )  # fmt: skip
-    assert "o.txt: line 1 is a title above the names: Poses & places, as driven" in said
-    assert np.hypot(*log.recorded.increments.mean[:, :2].T).sum() == pytest.approx(2.0)
+    names = " time | px | py | yaw |\tcov[1,1]\n"
+    more = f"{names}{rows}{names}9 | None | - | N/A | - | \nTotal | | | | | "
+    words = ("--truth", "o.txt", "--columns", "t=time,x=px,y=py,theta=yaw")
+    for text, far in ((names + rows, 2.0), (more, 2.0)):
+        log, said = read({"o.txt": f"Poses & places, as driven\n{text}"}, *words)
+        assert "o.txt: line 1 is a title above the names: Poses & places, as driven" in said
+        assert np.hypot(*log.recorded.increments.mean[:, :2].T).sum() == pytest.approx(far)
 
 
 @pytest.mark.parametrize(("text", "words", "wanted"), [
