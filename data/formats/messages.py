@@ -123,7 +123,7 @@ def _pairs(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
     return [(1, ",".join(names)), *((i, ",".join(value for _, value in pairs)) for i, pairs in found)]
 
 
-PAIR = r"([A-Za-z_]\w*)\s*[:=]\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?![\w.])"
+PAIR = r"(?<!\w)([A-Za-z_]\w*)\s*[:=]\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?![\w.])"
 
 
 def _blocks(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:

@@ -69,7 +69,9 @@ def split(line: str, separator: str | None) -> tuple[str, ...]:
     if separator is None:
         return tuple(line.split())
     read = csv.reader([line], delimiter=separator, skipinitialspace=True)
-    return tuple(f.strip() for f in (next(read) if '"' in line else line.split(separator)))
+    return tuple(
+        f.strip() for f in (next(read) if '"' in line and len(line) < csv.field_size_limit() else line.split(separator))
+    )
 
 
 def read_text(path: Path) -> Text:

@@ -134,7 +134,8 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
     for j, (role, _) in enumerate(read):
         if role and role not in place and j not in place.values():
             found.setdefault(role, []).append(j)
-    words = [set(words_of(name)[0]) for name in names]
+    of_name = {name: set(words_of(name)[0]) for name in {*names}}
+    words = [of_name[name] for name in names]
     truly = TRUE | REFERENCE if any(each & ESTIMATED for each in words) else TRUE
     true = [bool(truly & each) for each in words]
     both = any(len({true[j] for j in some}) > 1 for role, some in found.items() if role != "t")
@@ -162,7 +163,8 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
         what = f"{names[some[0]]!r} and {names[some[1]]!r} both name {role}; one of them is needed"
         typed = ",".join(f"{'truth.' * manner.true}{r}={s[0] + 1}" for r, s in unclear.items())
         raise DataError.at(text.path, f"{what}, as in --columns {typed.replace('yaw', 'theta')}", line=line or None)
-    side, k = [each & SIDES for each in words], place.get("x", place.get("lat", -1))
+    beside_of = {name: some & SIDES for name, some in of_name.items()}
+    side, k = [beside_of[name] for name in names], place.get("x", place.get("lat", -1))
     beside = [j for j, (role, _) in enumerate(read) if role == "x" and j != k]
     if not manner.true:  # odometry has none of its own
         beside = [j for j in beside if side[k] and not true[j] and side[j] != {"odom"}]
@@ -548,8 +550,8 @@ def _matrices(text: Text, manner: Manner) -> Text:
     """The text with the upper three rows of poses that are 4 x 4 numbers, in one row or in four, behind a stamp or not;
     of a file with one matrix alone, whose columns have no names of their own.
     """
-    named = [n.rpartition("_") for n in text.fields[0]]
-    if not manner.columns and is_arrays(text.path) and len({n[0] for n in named if n[2].isdecimal()} | {""}) == 2:
+    named = [n.rpartition("_") for n in text.fields[0]] if is_arrays(text.path) else []
+    if not manner.columns and named and len({n[0] for n in named if n[2].isdecimal()} | {""}) == 2:
         text = replace(text, fields=text.fields[1:], line=text.line[1:], commas=False)
     if not all(len(row) == len(text.fields[0]) and is_number(row[-1]) for row in text.fields):
         return text
