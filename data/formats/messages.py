@@ -18,7 +18,9 @@ _OTHERS = {  # What files are that are no rows of text, by their first bytes
 
 
 def read_lines(path: Path) -> tuple[list[tuple[int, str]], str, str]:
-    """Numbered rows of a file, of FILE:WORD those with it, the word, and what is said of titles. DataError: no text."""
+    """Rows of a file with the numbers of their lines; the word of FILE:WORD, which these rows hold; and a note on
+    titles that are left out. DataError for a file that cannot be read, or is no text.
+    """
     file, word = file_and_word(path)
     content = bytes_of(file, missing="no such file")
     if other := next((what for start, what in _OTHERS.items() if content.startswith(start)), ""):

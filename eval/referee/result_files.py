@@ -1,4 +1,4 @@
-"""Files of the result folder: columns with unit and meaning, and how rows become a table and a CSV file."""
+"""Files of the result folder, as `result_files.toml` lists them, and how rows become a table and a CSV file."""
 
 import math
 import re

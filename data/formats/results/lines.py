@@ -305,11 +305,9 @@ def read_kitti(text: Text, manner: paths.Manner) -> paths.GivenPath:
     rows = table[:, -len(ENTRIES) :].reshape(-1, 3, 4)
     if stamped:
         time, clock = times_of(text, table[:, 0], manner)
-    elif manner.times is None:
-        if manner.stamps is not None:
-            what = f"{text.path} has no stamps (KITTI poses); --times FILE names them"
-            raise UsageError(f"--unit {manner.stamps}: {what}")
-        time, clock = np.arange(len(rows), dtype=float), paths.Clock("s", paths.ROWS)
+    elif manner.times is None and manner.stamps is not None:
+        what = f"{text.path} has no stamps (KITTI poses); --times FILE names them"
+        raise UsageError(f"--unit {manner.stamps}: {what}")
     else:
         time, clock = times_of(text, np.arange(len(rows), dtype=float), manner, column=UNSTAMPED)
     file, R = str(text.path), rows[:, :, :3]

@@ -548,10 +548,10 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
 
 def _matrices(text: Text, manner: Manner) -> Text:
     """The text with the upper three rows of poses that are 4 x 4 numbers, in one row or in four, behind a stamp or not;
-    of a file with one matrix alone, whose columns have no names of their own.
+    of arrays with one matrix, whose columns have no names of their own, without names.
     """
     named = [n.rpartition("_") for n in text.fields[0]] if is_arrays(text.path) else []
-    if not manner.columns and named and len({n[0] for n in named if n[2].isdecimal()} | {""}) == 2:
+    if not manner.columns and len({stem for stem, _, number in named if number.isdecimal()} - {""}) == 1:
         text = replace(text, fields=text.fields[1:], line=text.line[1:], commas=False)
     if not all(len(row) == len(text.fields[0]) and is_number(row[-1]) for row in text.fields):
         return text

@@ -66,8 +66,8 @@ class TextTable:
     def find(self, name: str) -> int | None:
         """Index of the column of that name, or number counted from 1; None without one, DataError for several."""
         name = name if name in self.names else name.lstrip("".join(COMMENT))  # of a header that is a comment
-        listed = [k for k, other in enumerate(self.names) if other.startswith(f"{name}_")]
-        if name not in self.names and len(listed) > NAMED:
+        listed = [] if name in self.names else [k for k, own in enumerate(self.names) if own.startswith(f"{name}_")]
+        if len(listed) > NAMED:
             return listed[0]  # the first of a matrix, or of lists
         if name in self.names:
             several = [str(k + 1) for k, other in enumerate(self.names) if other == name]

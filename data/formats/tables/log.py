@@ -355,6 +355,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     second = None
     if wanted.second is not None:
         second = read_second(texts[SECOND], wanted.second, columns, odometry)
+    wanted = replace(wanted, every_row=wanted.every_row or not (parts or second))  # a truth alone is at every row
     true = _true_poses(texts["truth"], wanted, odometry) if "truth" in texts else None
     if isinstance(wanted.prior, str) and true is not None:
         odometry, parts = _from_truth_on(odometry, parts, true, notes)
@@ -382,7 +383,6 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     if not odometry.velocities:
         floored += gaps  # of poses it counts floored covariances
     as_recorded = odometry.velocities and all(p.stamped for p in parts) and not wanted.every_row and scans is None
-    as_recorded &= bool(parts)
     if odometry.velocities and gaps and not as_recorded:  # of odometry.csv loading says it
         notes.append(f"odometry: {gaps_said(odometry.time, time)}")
     known = _map(texts["map"], wanted) if "map" in texts else None
@@ -501,7 +501,7 @@ def _frames(odometry: Odometry, parts: Sequence[Rows], wanted: Wanted, notes: li
         span = f"the stamps span {last - first:.6g} s, {(last - first) / 86400.0:.3g} days"
         unit = "us" if last - first < 1e7 * len(odometry.time) else "ns"  # steps below 10 s
         raise DataError.at(odometry.table.path, f"{span}; state the unit as in --unit time={unit}")
-    if wanted.every_row or not kept or not all(part.stamped for part in kept):
+    if wanted.every_row or not all(part.stamped for part in kept):
         at = np.concatenate([at, odometry.time])
     return frame_times(at, first, last), kept
 

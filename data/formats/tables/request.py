@@ -27,6 +27,7 @@ from data.formats.tables.files import POSE, ROLES, SCANS, SECOND, STAMPED, STARR
 from data.formats.tables.layout import by_layout, seen_by_layout
 from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of, path_of
 from data.formats.tables.motion import STAMPED as STAMPED_KINDS
+from data.formats.tables.scans import BEAMS
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise
 from data.origin import Origin, Origins
 from data.se2 import Array
@@ -59,7 +60,6 @@ ASSUMED = {"density": "5cm,2deg", "travel": ",".join(map("{:g}".format, TravelNo
 """Noise of an odometry that nobody states, by model: measured on a robot with wheels in an office."""
 
 
-SCANNED = 30  # Least columns of one name that may be beams of a scan
 SEEN: dict[tuple[str, ...], type[Sensor]] = {
     ("range",): Range, ("bearing",): Bearing, ("range", "bearing"): RangeBearing, ("x", "y"): RelativePoint,
 }  # fmt: skip
@@ -169,7 +169,7 @@ def _sensor(
         what = f"no observations: {file.described()}; range and bearing, or x and y in the sensor's frame, are needed"
         numbered = Counter(re.sub(r"\d+$", "*", name) for name in file.names if file.named)
         star = next((name for name, n in numbered.most_common(1) if n > 1 and name != "*"), "")
-        where += f"; of scans --scans {file.path}" * any(n >= SCANNED for n in numbered.values())
+        where += f"; of scans --scans {file.path}" * any(n >= BEAMS for n in numbered.values())
         a, b = ("DIST", "ANGLE", *(name for name in file.names if file.named and name.isdecimal()))[-2:]
         where += f"; of a column for each landmark as in --columns {own}range={star}" * bool(star)
         what += f"; name them as in --columns {own}range={a},{own}bearing={b}, {where}"
