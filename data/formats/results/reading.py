@@ -118,7 +118,8 @@ def header_names(text: Text, manner: Manner) -> Columns | None:
 
 def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, in_data: bool) -> Columns:
     """The column of each role: the stated one, else by its name; of an estimate and a truth in one row those of one."""
-    read, place, earth = [role_of(name) for name in names], {}, {"lat", "lon"}
+    of = {name: role_of(name) for name in {*names}}  # most names of a very wide row are blank
+    read, place, earth = [of[name] for name in names], {}, {"lat", "lon"}
     for role, name in manner.columns.items():
         number = int(name) - 1 if name.isdecimal() else -1
         if name not in names and not 0 <= number < len(names):
@@ -130,7 +131,7 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
     found: dict[str, list[int]] = {}
     there = {role for role, _ in read} | {*place}
     earthly = earth <= there and (earth <= {*place} or not {"x", "y"} <= there)
-    read = [("", "") if role in (("x", "y", "z") if earthly else EARTH) else (role, unit) for role, unit in read]
+    read = [("", "") if its[0] in (("x", "y", "z") if earthly else EARTH) else its for its in read]
     for j, (role, _) in enumerate(read):
         if role and role not in place and j not in place.values():
             found.setdefault(role, []).append(j)
@@ -189,7 +190,7 @@ def topic_of(name: str) -> str:
 
 def topics_in(names: Sequence[str]) -> list[str]:
     """The topics with positions of a table with topics as columns."""
-    return list(dict.fromkeys(topic for name in names if (topic := topic_of(name))))
+    return list(dict.fromkeys(topic for name in dict.fromkeys(names) if (topic := topic_of(name))))
 
 
 def _roles(names: Sequence[str], topic: str) -> list[tuple[str, str]]:
