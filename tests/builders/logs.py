@@ -1,6 +1,5 @@
 """Logs of a few frames, written by hand: what is not given is simple and the same everywhere."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from operator import attrgetter
 from typing import Any
@@ -12,7 +11,6 @@ from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, O
 from data.log import Log
 from data.se2 import Array, between
 from data.sensors import RelativePoint, Sensor
-from data.truth import Truth
 
 
 def increments_of(mean: ArrayLike, covariance: ArrayLike) -> Increments:
@@ -63,11 +61,6 @@ def map_of(xy: ArrayLike, ids: ArrayLike | None = None) -> LandmarkMap:
     """Landmarks (L, 2), numbered from 0 without ids."""
     places = np.reshape(np.asarray(xy, float), (-1, 2))
     return LandmarkMap(np.arange(len(places)) if ids is None else np.asarray(ids, np.int64), places)
-
-
-def log_of(inputs: Inputs, path: Array, landmark: Sequence[int] | Array, known: LandmarkMap | None = None) -> Log:
-    """The log with its truth: path (N, 3), true landmark (M,) of each observation, map."""
-    return Log("by hand", inputs, Truth(path, known or inputs.map, np.asarray(landmark, np.int64)))
 
 
 PARTS = attrgetter(

@@ -13,6 +13,7 @@ from data.sensors import RangeBearing
 from data.truth import UNKNOWN_ID, Truth
 from eval.figures.map import log_figure
 from eval.inspect import main
+from tests.builders.logs import NOTHING, inputs_of, still
 
 
 def small_log() -> Log:
@@ -107,11 +108,7 @@ def test_what_a_log_does_not_have_is_said_and_one_of_one_frame_is_summarized():
     assert "source" not in dict(summarize(bare))
     assert "without a true pose" not in odd(bare)
     log = small_log()
-    one = Inputs(
-        Prior(np.zeros(3), np.zeros((3, 3))), np.array([5.0]), Increments(np.zeros((1, 3)), np.zeros((1, 3, 3))),
-        Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2))), RangeBearing(), time_is_index=True,
-        covariance_floor=0.0,
-    )  # fmt: skip
+    one = inputs_of(still(1), NOTHING, RangeBearing(), time=[5.0], time_is_index=True, covariance_floor=0.0)
     single = Log("one", one, Truth(landmark_of=np.zeros(0, np.int64)))
     assert said(single, "frames") == "1, without stamps (t is a frame number)"
     assert said(single, "observations") == "none"

@@ -78,9 +78,6 @@ def test_columns_that_may_be_anything_are_to_be_named(scored):
     assert values["rmse_position_m"] == pytest.approx(0.1)
 
 
-ROW = WHOLE | {"x_gt": TRUE[:, 0], "y_gt": TRUE[:, 1]}
-
-
 @pytest.mark.parametrize(("own", "true"), [
     (("x_est", "y_est"), ("x_gt", "y_gt")), (("ekf_x", "ekf_y"), ("true_x", "true_y")),
     (("x", "y"), ("xTrue", "yTrue")),

@@ -12,7 +12,7 @@ from data.inputs import ERRORS, Increments, LabelledObservations, Systematic
 from data.motion.systematic import forgotten, knots
 from data.sensors import RangeBearing
 from graph.problem import Start
-from tests.graph.worlds import circle
+from tests.graph.worlds import circle, order_of_creation
 
 SIGMA = dict(zip(ERRORS, (0.05, 0.03, 0.06, 0.05, 0.02, 0.04, 0.03), strict=True))
 LENGTH = 6.0
@@ -65,7 +65,7 @@ def erring(sensor, task, systematic, seed=0, size=1.0, **world):
     if task == "slam":
         inputs = inputs.without_map()
     decisions, created = known_decisions(inputs)
-    return inputs, decisions, created, Start(truth, xy[_ids(inputs, created)]), errors
+    return inputs, decisions, created, Start(truth, xy[order_of_creation(inputs, decisions, created)]), errors
 
 
 def stated_by_hand(way, e):
@@ -81,12 +81,6 @@ def as_sensed(sensor, z, share, angle):
     if isinstance(sensor, RangeBearing):
         return np.column_stack([z[:, 0] * (1 + share), se2.wrap_angle(z[:, 1] + angle)])
     return (1 + share) * z @ se2.rotation(angle).T
-
-
-def _ids(inputs, created):
-    ids = np.empty((created >= 0).sum(), int)
-    ids[created[created >= 0]] = inputs.observations.label[created >= 0]
-    return ids
 
 
 def logarithm(pose):

@@ -8,10 +8,10 @@ import pytest
 from association.candidates import UncertaintyBounds, in_view, may_be_in_view
 from association.decide import known_decisions
 from data.inputs import LabelledObservations, Prior
-from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from graph import incremental as expected
 from graph.incremental import Isam2Smoother
+from tests.builders.estimators import ekf_of
 from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task, lagged
 from tests.graph.worlds import circle
 
@@ -24,11 +24,7 @@ def test_it_expects_what_the_filter_expects(sensor, task, lag):
     inputs, _, _ = circle(sensor, noise=0.0)
     inputs = for_task(inputs, task)
     decisions, _ = known_decisions(inputs)
-    twin = (
-        EkfLocalizer(inputs.prior, inputs.sensor, inputs.map)
-        if task == "localization"
-        else EkfSlam(inputs.prior, inputs.sensor)
-    )
+    twin = ekf_of(inputs)
     s, *_ = drive(inputs, decisions, until=20, smoother=None if lag is None else lagged(inputs, lag, **TIGHT), **TIGHT)
     drive(inputs, decisions, until=20, smoother=twin)
     for k in (20, 21):
@@ -83,11 +79,7 @@ def test_the_gate_and_its_statistics_are_the_filters(sensor, task):
     last = np.flatnonzero((o.frame == o.frame[-1]) & (created < 0))
     z[last[:3]] += [[1.5, 0.4], [0.05, -0.03], [-0.02, 0.04]]
     inputs = replace(inputs, observations=LabelledObservations(o.frame, z, o.R, o.label))
-    twin = (
-        EkfLocalizer(inputs.prior, inputs.sensor, inputs.map)
-        if task == "localization"
-        else EkfSlam(inputs.prior, inputs.sensor)
-    )
+    twin = ekf_of(inputs)
     ours = drive(inputs, decisions, gate=11.0, until=int(o.frame[-1]) + 1, **TIGHT)[3]
     filters = drive(inputs, decisions, gate=11.0, until=int(o.frame[-1]) + 1, smoother=twin)[3]
     for a, b in zip(ours, filters, strict=True):

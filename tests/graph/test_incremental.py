@@ -3,7 +3,6 @@
 import gtsam
 import numpy as np
 import pytest
-from gtsam.symbol_shorthand import X
 
 from association.decide import known_decisions
 from data import se2
@@ -232,21 +231,3 @@ def test_amended_pairings_leave_no_trace_of_what_they_replace(sensor):
     assert np.allclose(ended.final.pose, expected_end.final.pose, atol=1e-6)
     assert np.allclose(ended.final.covariance, expected_end.final.covariance, rtol=1e-3, atol=1e-8)
     assert ended.total_nis[1] == expected_end.total_nis[1]
-
-
-SOFT = gtsam.noiseModel.Isotropic.Sigma(3, 0.1)
-
-
-def started():
-    """An engine with two poses, the second linearized where it started; nothing moves far enough to be relinearized."""
-    engine, start = Engine(1.0, 1, qr=False), gtsam.Values()
-    start.insert(X(0), gtsam.Pose2())
-    start.insert(X(1), gtsam.Pose2(1.0, 0.3, 0.4))
-    step = gtsam.BetweenFactorPose2(X(0), X(1), gtsam.Pose2(1.2, 0.0, 0.1), SOFT)
-    engine.add([gtsam.PriorFactorPose2(X(0), gtsam.Pose2(), SOFT), step], start)
-    return engine
-
-
-def pose(values):
-    p = values.atPose2(X(1))
-    return [p.x(), p.y(), p.theta()]

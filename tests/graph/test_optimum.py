@@ -6,7 +6,7 @@ import pytest
 from gtsam.symbol_shorthand import L, X
 
 from association.decide import known_decisions
-from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
+from data.inputs import LandmarkMap
 from data.sensors import RelativePoint
 from data.worlds.registry import named_log
 from ekf.whole_run import run_filter
@@ -14,6 +14,7 @@ from graph import optimum
 from graph.batch import build, smooth
 from graph.optimum import NotConvergedError, in_world
 from graph.problem import Start
+from tests.builders import logs
 from tests.graph.driving import every_sensor, solved
 from tests.graph.worlds import circle
 from tests.quick import slow
@@ -111,16 +112,12 @@ def test_without_sightings_the_first_pose_keeps_its_prior_covariance_however_sin
 POINTS = np.array([[2.0, 1.0], [3.0, -1.0], [1.0, -2.0]])
 
 
-def still(frames, motion, prior, known=None, times=1):
-    """A robot at rest that observes every point `times` times in each frame; all is where it is."""
-    frame = np.repeat(np.arange(frames), len(POINTS) * times)
-    number = np.tile(np.repeat(np.arange(len(POINTS)), times), frames)
-    covariance = np.tile(motion * np.eye(3), (frames, 1, 1))
-    inputs = Inputs(
-        Prior(np.zeros(3), prior * np.eye(3)), np.arange(frames, dtype=float),
-        Increments(np.zeros((frames, 3)), covariance),
-        Observations(frame, POINTS[number], np.tile(0.01 * np.eye(2), (len(frame), 1, 1))), RelativePoint(), known,
-    )  # fmt: skip
+def still(frames, motion, prior, known=None):
+    """A robot at rest that observes every point once in each frame; all is where it is."""
+    frame, number = np.repeat(np.arange(frames), len(POINTS)), np.tile(np.arange(len(POINTS)), frames)
+    inputs = logs.inputs_of(
+        logs.still(frames, motion), logs.observations_of(frame, POINTS[number]), known=known, spread=prior
+    )
     found = smooth(inputs, number, np.full(len(number), -1), Start(np.zeros((frames, 3)), POINTS), with_shares=True)
     return found.residual_share.reshape(frames, -1, 2), found.dof
 

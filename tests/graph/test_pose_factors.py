@@ -2,10 +2,8 @@
 
 from dataclasses import replace
 
-import gtsam
 import numpy as np
 import pytest
-from gtsam.symbol_shorthand import X
 
 from data import se2
 from data.errors import DataError, UsageError
@@ -169,40 +167,6 @@ def small(seed):
         for name in ("prior", "increments", "fixes", "closures")
     }
     return replace(inputs, **parts)
-
-
-def test_the_optimum_is_gtsams_own():
-    inputs, _ = drive(seed=3)
-    inputs = replace(inputs, fixes=None)
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-
-    def add(kind, keys, z, covariance, turn):
-        T = np.eye(3)
-        T[:2, :2] = gtsam.Rot2(turn).matrix()
-        model = gtsam.noiseModel.Gaussian.Covariance(T.T @ covariance @ T)
-        graph.add(kind(*(X(k) for k in keys), gtsam.Pose2(*z), model))
-
-    add(gtsam.PriorFactorPose2, [0], inputs.prior.mean, C, inputs.prior.mean[2])
-    for k in range(1, len(inputs)):
-        add(gtsam.BetweenFactorPose2, [k - 1, k], inputs.increments.mean[k], M, inputs.increments.mean[k, 2])
-    for a, c, z in zip(inputs.closures.frame1, inputs.closures.frame2, inputs.closures.relative, strict=True):
-        add(gtsam.BetweenFactorPose2, [int(a), int(c)], z, C, z[2])
-    for k, pose in enumerate(reckoned(inputs).pose):
-        values.insert(X(k), gtsam.Pose2(*pose))
-    steps = gtsam.LevenbergMarquardtParams()
-    steps.setRelativeErrorTol(0.0)
-    steps.setAbsoluteErrorTol(1e-14)
-    theirs = gtsam.LevenbergMarquardtOptimizer(graph, values, steps).optimize()
-    ours = found(inputs)
-    assert ours.cost == pytest.approx(2.0 * graph.error(theirs), rel=1e-10)
-    P = gtsam.Marginals(graph, theirs)
-    for k, pose in enumerate(ours.trajectory.pose):
-        there = theirs.atPose2(X(k))
-        assert np.abs(se2.pose_error(pose, np.array([there.x(), there.y(), there.theta()]))).max() < 1e-6
-        B = se2.world_from_body(pose[2])
-        np.testing.assert_allclose(
-            ours.trajectory.covariance[k], B @ P.marginalCovariance(X(k)) @ B.T, rtol=1e-5, atol=1e-8
-        )
 
 
 @pytest.mark.parametrize("loss", ["huber", "cauchy"])

@@ -37,9 +37,7 @@ def circle(sensor, *, frames=60, landmarks=8, noise=1.0, seed=0, see=0.7, R=None
     near = sensor.polar(z)[:, 0] < (sensor.max_range if sensor.sees_points else np.inf)
     frame, label, z = frame[near], label[near], z[near]
     if R is None:
-        R = np.array(
-            [[0.01, 0.001], [0.001, 0.0009]] if isinstance(sensor, RangeBearing) else [[0.02, 0.006], [0.006, 0.01]]
-        )
+        R = R_POLAR if isinstance(sensor, RangeBearing) else R_POINT
     z = z + noise * rng.multivariate_normal(np.zeros(2), R, len(z))
     if not isinstance(sensor, RelativePoint):
         z[:, 1] = se2.wrap_angle(z[:, 1])

@@ -5,7 +5,7 @@ Shares no code with the filter: its own measurement models, Jacobians by complex
 
 import numpy as np
 
-NEW, DISCARD = -1, -2
+NEW = -1
 
 
 def wrap(a):

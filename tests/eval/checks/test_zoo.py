@@ -96,19 +96,20 @@ def test_an_approximation_that_claims_to_be_exact_is_told_how_to_declare_it():
 
 
 def test_what_cannot_begin_or_diverges_is_a_line_and_no_traceback():
-    class Never(Plain):
-        def landmarks(self):
-            raise OSError("no map")
+    def raising(error):
+        def method(*_):
+            raise error
 
-    class Diverging(Plain):
-        def update(self, o, decisions):
-            raise FilterDivergedError("infinite")
+        return method
+
+    never = mutant(landmarks=raising(OSError("no map")))
+    diverging = mutant(update=raising(FilterDivergedError("infinite")))
 
     class NoResidual(Plain):
         def said(self, o, numbers, z_hat, joint):
             return replace(super().said(o, numbers, z_hat, joint), residual=None)
 
-    for kind, why in ((Never, "OSError: no map"), (Diverging, "infinite"), (NoResidual, "TypeError")):
+    for kind, why in ((never, "OSError: no map"), (diverging, "infinite"), (NoResidual, "TypeError")):
         (stopped,) = facts(kind)
         assert (stopped.frame, stopped.bug) == (0, None)
         assert why in stopped.why

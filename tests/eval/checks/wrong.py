@@ -36,24 +36,11 @@ class NearTheSeam(EkfLocalizer):
         return np.array([mean[0], mean[1], mean[2] + (0.5 if mean[2] > np.pi - 0.04 else 0.0)]), P
 
 
-class BodyFrame(EkfLocalizer):
-    def estimate(self):
-        mean, P = super().estimate()
-        R = world_from_body(float(mean[2]))
-        return mean, R.T @ P @ R
-
-
 class Drifting(EkfLocalizer):
     """Half of every turn is forgotten."""
 
     def predict(self, increment):
         super().predict(increment._replace(mean=increment.mean * np.array([1.0, 1.0, 0.5])))
-
-
-class Timid(EkfSlam):
-    def estimate(self):
-        mean, P = super().estimate()
-        return mean, 25.0 * P
 
 
 class Asymmetric(EkfSlam):
@@ -137,14 +124,6 @@ class Blurred(EkfSlam):
 
         e = super().expect(observations)
         return replace(e, HPHt=1.5 * e.HPHt)
-
-
-class Shifted(EkfSlam):
-    def expect(self, observations):
-        from dataclasses import replace
-
-        e = super().expect(observations)
-        return replace(e, z_hat=e.z_hat[::-1].copy())
 
 
 class Dead(EkfSlam):

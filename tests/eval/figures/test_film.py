@@ -8,12 +8,12 @@ import pytest
 from matplotlib.colors import to_rgb
 
 from data.errors import SlamrefError
-from data.inputs import Increments, Inputs, Observations, Prior
+from data.inputs import Inputs
 from data.notice import stopped
 from data.result import Failure
-from data.sensors import RangeBearing
 from eval.figures.film import FPS, HEADER, animate, pace_of
 from eval.figures.style import style_of
+from tests.builders.logs import inputs_of, still
 from tests.eval.handmade import FRAMES, circle_log, run_with_error
 
 EVERY_FOURTH = 40.0
@@ -94,11 +94,7 @@ def test_a_path_that_leaves_the_scene_is_cut_and_a_film_that_cannot_be_written_i
 
 
 def inputs_at(time, *, index=False) -> Inputs:
-    n = len(time)
-    nothing = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
-    still = Increments(np.zeros((n, 3)), np.zeros((n, 3, 3)))
-    inputs = Inputs(Prior(np.zeros(3), np.zeros((3, 3))), np.asarray(time, float), still, nothing, RangeBearing())
-    return replace(inputs, time_is_index=index)
+    return inputs_of(still(len(time)), time=time, time_is_index=index)
 
 
 def test_the_pace_is_as_asked_for_or_real_time_that_fits_a_minute_or_frames_a_second():

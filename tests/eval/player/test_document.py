@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from association.names import METHODS
-from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, Prior
 from data.log import shortened
 from data.logs import open_log
 from data.sensors import RelativePoint
@@ -22,6 +21,7 @@ from eval.referee.score import Trial, confusion_of
 from eval.replay.recorder import Observer
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Setup
+from tests.builders.logs import inputs_of, map_of, observations_of, still
 from tests.builders.unpacked import unpacked
 from tests.eval.handmade import circle_log
 from tests.quick import slow
@@ -291,11 +291,9 @@ def test_kept_are_the_nearest_twelve_in_the_gate_and_who_was_paired_however_far(
     # the robot stands exactly at the origin, so a distance is that of the reading from the landmark, in sigmas
     x = 1.0 + 0.1 * np.arange(16)
     number, z = 2 * np.arange(16) + 1, np.array([[1.0, 0.05], [12.0, 0.0], [-9.0, 0.0]])
-    inputs = Inputs(
-        Prior(np.zeros(3), np.zeros((3, 3))), np.array([0.0]), Increments(np.zeros((1, 3)), np.zeros((1, 3, 3))),
-        LabelledObservations(np.zeros(3, np.int64), z, np.tile(np.eye(2), (3, 1, 1)), np.array([31, 7, 1])),
-        RelativePoint(max_range=20.0), LandmarkMap(number, np.column_stack([x, np.zeros(16)])),
-    )  # fmt: skip
+    known = map_of(np.column_stack([x, np.zeros(16)]), number)
+    seen = observations_of([0, 0, 0], z, 1.0, [31, 7, 1])
+    inputs = inputs_of(still(1), seen, RelativePoint(max_range=20.0), known)
     run = compare(inputs, "localization", ["ekf"], "known", watch=Watch)[0]
     w = run.watched
     assert run.decisions.tolist() == [31, 7, 1]

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
+from data.inputs import Inputs, Observations
 from data.log import Log
 from data.logs import open_log
 from data.notice import Code, notice, stopped
@@ -14,6 +14,7 @@ from data.result import DISCARD, Innovations, MapEstimate, Run, Trajectory
 from data.sensors import RangeBearing
 from eval.referee.lost import former_observations, lost
 from eval.replay.run import compare
+from tests.builders.logs import inputs_of, map_of, observations_of, still
 from tests.eval.handmade import FRAMES, LANDMARKS, circle_log, run_with_error
 from tests.eval.referee import wrecks
 from tests.quick import slow
@@ -79,15 +80,9 @@ LONG = 100
 def inputs(each: int = 1, known_map: bool = True) -> Inputs:
     """A robot at rest that sees landmark 0, 2 m ahead, so many times in every frame."""
     frame = np.repeat(np.arange(LONG), each)
-    m = len(frame)
-    return Inputs(
-        Prior(np.zeros(3), 0.01 * np.eye(3)),
-        np.arange(LONG, dtype=np.float64),
-        Increments(np.zeros((LONG, 3)), np.tile(1e-6 * np.eye(3), (LONG, 1, 1))),
-        Observations(frame, np.tile([2.0, 0.0], (m, 1)), np.tile(0.01 * np.eye(2), (m, 1, 1))),
-        RangeBearing(max_range=8.0),
-        LandmarkMap(np.array([0]), np.array([[2.0, 0.0]])) if known_map else None,
-    )  # fmt: skip
+    seen = observations_of(frame, np.tile([2.0, 0.0], (len(frame), 1)))
+    known = map_of([2.0, 0.0]) if known_map else None
+    return inputs_of(still(LONG), seen, RangeBearing(max_range=8.0), known, spread=0.01)
 
 
 def run(used, task: str = "localization", white=None, **fields) -> Run:

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, Observations, Prior
+from data.inputs import LabelledObservations, LandmarkMap
 from data.logs import open_log
 from data.notice import Code, notice
 from data.result import DISCARD, MapEstimate, Trajectory
 from data.sensors import Line, RangeBearing
 from eval.compare import compare
 from eval.referee.plausibility import ABSURD, farthest_observed, first_misfit, judged, suspicions, with_plausibility
+from tests.builders.logs import NOTHING, increments_of, inputs_of
 from tests.eval.handmade import FRAMES, circle_log, run_with_error, true_path
 
 INPUTS = circle_log().recorded
@@ -114,13 +115,9 @@ def test_diverged_runs_on_simulated_logs_are_marked(name, marked):
 def way_at_frame_20(landmarks=None, sensor=POINTS):
     """From (5, -3), 1 m a frame, sigmas 0.2 m, 0.5 m at first: by frame 20 in 20 (1 + 3 * 0.2) + 3 * 0.5 = 33.5 m."""
     known = None if landmarks is None else LandmarkMap(np.arange(len(landmarks)), np.array(landmarks))
-    mean, covariance = np.tile([1.0, 0.0, 0.0], (FRAMES, 1)), np.tile(np.diag([0.04, 0.01, 1e-4]), (FRAMES, 1, 1))
-    mean[0], covariance[0] = 0.0, 0.0
-    return Inputs(
-        Prior(np.array([5.0, -3.0, 0.0]), np.diag([0.01, 0.25, 1e-4])), np.arange(FRAMES, dtype=float),
-        Increments(mean, covariance), Observations(np.empty(0, int), np.empty((0, 2)), np.empty((0, 2, 2))), sensor,
-        known,
-    )  # fmt: skip
+    mean = np.tile([1.0, 0.0, 0.0], (FRAMES, 1))
+    steps, spread = increments_of(mean, np.diag([0.04, 0.01, 1e-4])), np.diag([0.01, 0.25, 1e-4])
+    return inputs_of(steps, NOTHING, sensor, known, start=[5.0, -3.0, 0.0], spread=spread)
 
 
 @pytest.mark.parametrize(("task", "landmarks", "sensor", "reach"), [

@@ -84,16 +84,8 @@ def test_a_wrong_pairing_fits_another_landmark_and_an_outlier_fits_none(log):
 def exactly(name):
     """A log without noise, its path, and its landmarks."""
     log = open_log(name)
-    r, pose, o = log.recorded, log.truth.pose, log.recorded.observations
-    motion = np.zeros_like(pose)
-    motion[1:] = between(pose[:-1], pose[1:])
-    places = log.truth.landmarks
-    z = r.sensor.predict(pose[o.frame], places.positions(log.truth.landmark_of))
-    inputs = replace(
-        r, prior=replace(r.prior, mean=pose[0]), increments=Increments(motion, r.increments.covariance),
-        observations=Observations(o.frame, z, o.R),
-    )  # fmt: skip
-    return inputs, pose, Used(places.rows(log.truth.landmark_of), places.xy, places.id)
+    inputs, pose = noiseless(log), log.truth.pose
+    return replace(inputs, prior=replace(inputs.prior, mean=pose[0])), pose, truly(log)
 
 
 @pytest.fixture(scope="module", params=["arena:2", "linear:1"])

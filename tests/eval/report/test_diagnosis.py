@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data.inputs import Observations, Systematic
+from data.inputs import Systematic
 from data.notice import Code, notice
 from data.origin import Origin
 from data.result import Systematics, Trajectory
@@ -30,6 +30,7 @@ from eval.report.sources import main_sources, source_lines
 from eval.report.words import distance, plus_minus, say
 from eval.studies.diagnosis import Blame, Row, Trust
 from eval.studies.sampled import Sample
+from tests.builders import logs
 from tests.eval.handmade import LANDMARKS, circle_log, run_with_error, true_path
 
 MEASURED = {
@@ -208,8 +209,7 @@ def test_what_to_do_is_nothing_that_runs_already(found, association, step):
 @pytest.mark.parametrize(("found", "step"), [(TURN, "`run --calibrate`"), (SIGMA, "state it so")])
 def test_a_log_without_observations_is_not_sent_to_tune(found, step):
     log = circle_log()
-    none = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
-    terms = terms_of(replace(log.recorded, observations=none))
+    terms = terms_of(replace(log.recorded, observations=logs.NOTHING))
     assert say("diagnosis#step", f=found, terms=terms, association="known") == step
 
 

@@ -10,7 +10,7 @@ import pytest
 import slamref
 from data.formats.mrclam import load_mrclam
 from data.formats.open_log import write_folder
-from data.inputs import LandmarkMap, Observations, Scanner, Scans
+from data.inputs import LandmarkMap, Scanner, Scans
 from data.log import Log, shortened
 from data.logs import open_log
 from data.sensors import RelativePoint
@@ -33,6 +33,7 @@ from eval.report.terminal import trust_line
 from eval.run_all import main
 from eval.studies.diagnosis import Blame, Trust, noiseless
 from eval.studies.sampled import Sample
+from tests.builders import logs
 from tests.eval.judged import BLIND, LOG, judgement
 
 EKF = {"estimator": "ekf", "association": "known", "phase": "online", "status": "ok", "nis": 1.0, "nis_lower": 0.9,
@@ -76,8 +77,7 @@ def test_a_violated_assumption_takes_the_tick_unless_the_solution_itself_is_brok
     mark = trust_mark(facts(log=BLIND, trust=found))
     assert (mark.word, mark.tone) == ("cannot be told", "bad")
     assert "1.9" not in mark.note
-    nothing = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)))
-    empty = replace(LOG.recorded, observations=nothing)
+    empty = replace(LOG.recorded, observations=logs.NOTHING)
     both = frozenset({("ekf", "known"), ("batch", "known")})
     mark = trust_mark(facts(log=replace(LOG, recorded=empty), unused=both))
     assert (mark.word, mark.tone) == ("neither", "bad")
@@ -89,10 +89,9 @@ def test_a_violated_assumption_takes_the_tick_unless_the_solution_itself_is_brok
 ])  # fmt: skip
 def test_no_path_is_recommended_where_nothing_can_be_judged(frames, step, why):
     r = BLIND.recorded
-    nothing = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)))
     seen = Scans(Scanner(-1.0, 1.0, 8.0, 0.01), np.array(frames), np.ones((len(frames), 3)))
     steps = replace(r.increments, mean=step * r.increments.mean)
-    log = replace(BLIND, recorded=replace(r, observations=nothing, scans=seen, increments=steps))
+    log = replace(BLIND, recorded=replace(r, observations=logs.NOTHING, scans=seen, increments=steps))
     mark = trust_mark(facts(log=log, trust=Trust("blind", "slam", "scan", Sample({}), (), ())))
     assert mark.word == ("unknown" if why else "path: smoother")
     assert mark.note.startswith(f"nothing can be judged: {why}" if why else "no fault found")

@@ -8,7 +8,7 @@ import pytest
 from association.decide import known_decisions
 from data import se2
 from data.errors import DataError, UsageError
-from data.inputs import FrameObservations, Increments, Inputs, LabelledObservations, Prior, Systematic
+from data.inputs import FrameObservations, Prior, Systematic
 from data.result import NEW
 from data.sensors import Line
 from eval.referee.consistency import CONSISTENT, nees, verdict
@@ -17,6 +17,7 @@ from graph.batch import gnc, smooth
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 from graph.problem import Start
+from tests.builders.logs import increments_of, inputs_of, observations_of
 from tests.graph.driving import TIGHT, both_tasks, drive, for_task, lagged, parted
 from tests.graph.walls import worlds
 from tests.quick import slow
@@ -147,13 +148,8 @@ def test_along_a_corridor_only_odometry_says_where_the_robot_is(R):
     way = se2.between(truth[:-1], truth[1:]) + rng.multivariate_normal(np.zeros(3), Q, n - 1)
     sensor, frame, label = Line(max_range=8.0), np.repeat(np.arange(n), 2), np.tile([0, 1], n)
     z = sensor.predict(truth[frame], walls[label]) + rng.multivariate_normal(np.zeros(2), R, 2 * n)
-    inputs = Inputs(
-        Prior(truth[0], 1e-4 * np.eye(3)),
-        np.arange(n, dtype=float),
-        Increments(np.vstack([np.zeros(3), way]), np.vstack([np.zeros((1, 3, 3)), np.tile(Q, (n - 1, 1, 1))])),
-        LabelledObservations(frame, z, np.tile(R, (2 * n, 1, 1)), label),
-        sensor,
-    )
+    steps = increments_of(np.vstack([np.zeros(3), way]), Q)
+    inputs = inputs_of(steps, observations_of(frame, z, R, label), sensor, start=truth[0], spread=1e-4)
     decisions, _ = known_decisions(inputs)
     for smoother in (Isam2Smoother(inputs.prior, sensor), lagged(inputs, 30.0)):
         P = drive(inputs, decisions, smoother=smoother)[2][-1]

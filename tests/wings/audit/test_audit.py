@@ -207,8 +207,6 @@ def test_text_of_isam_states_covariances_as_gtsam_reads_it(written):
     assert 2.0 * graph.error(optimized(graph, values)) == pytest.approx(gtsams_minimum(path), rel=1e-6)
     again = written(with_information(file, {0: np.diag([4.0, 5.0, 8.0])}, set()), "again.txt")
     assert np.allclose(read_graph_file(pathlib.Path(again)).edges[0].information, np.diag([4.0, 5.0, 8.0]))
-    seen = written("ODOMETRY 0 1 1 0 0 1 0 0 1 0 1\nLANDMARK 0 7 2 1 0.04 0 0.25\nLANDMARK 1 7 1 1 0.04 0 0.25\n")
-    assert np.allclose(read_graph_file(pathlib.Path(seen)).edges[1].information, np.diag([25.0, 4.0]))
 
 
 def test_values_without_vertices_follow_the_edges(written):
@@ -234,11 +232,6 @@ def test_indeterminate_variables_and_duplicates_are_named():
     assert report.facts.loose == (("l7", 1, True, False, 7),)
     assert report.facts.duplicates == ("5 and 6",)
     assert report.factors["unchecked"].tolist()[-1]
-
-
-def test_optimized_leaves_what_is_not_determined(written):
-    graph, values, _ = build(read_graph_file(pathlib.Path(written(grid()))))
-    assert graph.error(optimized(graph, values)) < graph.error(values)
 
 
 @pytest.mark.slow
@@ -307,19 +300,11 @@ def test_another_minimum_is_named(written):
     assert "another minimum" in report.words()
 
 
-def quadratic():
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    for k in range(4):
-        values.insert(k, np.array([float(k), 0.0]))
-        graph.add(gtsam.PriorFactorPoint2(k, np.array([k + 0.1, 0.0]), gtsam.noiseModel.Isotropic.Sigma(2, 0.5)))
-    return graph, values
-
-
 def test_a_noise_that_is_not_definite_is_named():
-    graph, values = quadratic()
+    graph, values = graphs.planar(1)
     bad = gtsam.noiseModel.Gaussian.Covariance(np.array([[1.0, 2.0], [2.0, 1.0]]))
-    graph.add(gtsam.PriorFactorPoint2(0, np.zeros(2), bad))
-    with pytest.raises(DataError, match="factor 4: its noise is not positive definite"):
+    graph.add(gtsam.PriorFactorPoint2(gtsam.symbol("l", 0), np.zeros(2), bad))
+    with pytest.raises(DataError, match=f"factor {graph.size() - 1}: its noise is not positive definite"):
         slamref.audit(graph, values)
 
 

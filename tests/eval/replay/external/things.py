@@ -59,16 +59,6 @@ class FlatteringLocal(EkfLocalizer):
         return _flattered(super().update(observations, decisions, **more))
 
 
-class MineLocalSmoothing(MineLocal):
-    """It says that it smooths."""
-
-    smooths = True
-
-
-class FlatteringSmoothing(FlatteringLocal):
-    smooths = True
-
-
 class Unexpecting:
     """A filter without `expect` that states an NIS."""
 

@@ -12,11 +12,6 @@ from wings.laser.scans.occupancy import HIT, LEAST, MISS, MOST, occupancy_grid
 AHEAD = Scanner(0.0, 0.1, 30.0, 0.01)
 
 
-def cell(grid, x, y):
-    column, row = np.floor((np.array([x, y]) - grid.origin) / grid.resolution).astype(int)
-    return grid.log_odds[row, column]
-
-
 def crosses(a, b, box):
     begin, end = 0.0, 1.0
     for axis in (0, 1):

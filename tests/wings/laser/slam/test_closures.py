@@ -3,16 +3,10 @@
 import numpy as np
 import pytest
 
-from data.se2 import between
 from tests.wings.laser.scans.rooms import ROOM, SCANNER, scan
 from wings.laser.scans.points import beams_of, scan_points
-from wings.laser.slam.closures import Closure, LoopCloser
+from wings.laser.slam.closures import LoopCloser
 from wings.laser.slam.parameters import LaserParameters
-
-
-def closure(found, key1, key2):
-    return Closure(key1, key2, between(found._poses[key1], found._poses[key2]), 1e-4 * np.eye(3), 1.0)
-
 
 GAP = LaserParameters().loop_gap
 SEEN = scan(np.zeros(3), ROOM)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from data.inputs import Increments, Inputs, Observations, Scans
+from data.inputs import Scans
 from data.se2 import between, compose, pose_error
-from data.sensors import RelativePoint
 from data.worlds.registry import named_log
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
 from eval.replay.settings import ESTIMATORS, OF_SCANS
+from tests.builders.logs import increments_of, inputs_of
 from tests.graph.poses.worlds import corridors
 from wings.laser.scans.constraints import Chain, LaserRun, Loops
 from wings.laser.score import closure_counts
@@ -168,11 +168,8 @@ def laser_log(seed=1, keys=100):
     truth = compose(world.truth[key], since)
     wheels = np.zeros((n, 3))
     wheels[1:] = between(truth[:-1], truth[1:]) + rng.normal(0, 0.02, (n - 1, 3))
-    covariance = np.tile(4e-4 * np.eye(3), (n, 1, 1))
-    nothing = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
-    inputs = Inputs(
-        world.prior(), np.arange(float(n)), Increments(wheels, covariance), nothing, RelativePoint()
-    )  # fmt: skip
+    prior = world.prior()
+    inputs = inputs_of(increments_of(wheels, 4e-4 * np.eye(3)), start=prior.mean, spread=prior.covariance)
     return inputs, chain, loops, truth
 
 
