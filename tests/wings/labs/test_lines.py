@@ -1,14 +1,18 @@
-"""Each question's answer in a line, its table and its paragraph: the numbers of the run they are about, no other's."""
+"""A lab's questions are answered in their order, each in a line, a table and a paragraph, whatever the runs did."""
 
 from dataclasses import replace
 
 import pytest
 
+from data.notice import stopped
+from data.result import Failure
 from eval.plan.experiment import Unfinished
 from eval.plan.flags.options import read_options
 from eval.referee.score import Trial, score
+from eval.replay.settings import Setup
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
-from wings.labs.sections import hand_in
+from wings.labs.corridor import JCBB, ODOMETRY, find_lab
+from wings.labs.sections import KINDS, QUESTIONS, draw, hand_in, write_times
 
 PLAIN, BLIND, BLIND_PEOPLE, PEOPLE = (True, False), (False, False), (False, True), (True, True)
 """Odometry, people."""
@@ -23,7 +27,7 @@ SHY = {6: DISCARD, 7: DISCARD, 8: DISCARD}
 """Three points that SINGLES leaves unused."""
 
 
-def sections(tmp_path, errors=ERRORS):
+def trials(errors=ERRORS):
     """NN errs in two rows, SINGLES leaves three out, JCBB makes a landmark of a person, which maintenance removes."""
     made = []
     for (odometry, people), of in errors.items():
@@ -37,8 +41,16 @@ def sections(tmp_path, errors=ERRORS):
         kept = replace(log, name=f"{log.name}:maintain")
         run = lab_run(kept, "jcbb-first", error=0.01, changes=changes["jcbb-first"], removed={2: 4} if people else None)
         made.append(Trial(kept, "slam", (run,), log.name))
+    return made
+
+
+def answered(tmp_path, given):
     options = read_options(["--lab", "recorded", "--no-plots", "--out", str(tmp_path)])
-    return hand_in(tmp_path, options, made, score(made), Unfinished(1))
+    return hand_in(tmp_path, options, given, score(given), Unfinished(1))
+
+
+def sections(tmp_path, errors=ERRORS):
+    return answered(tmp_path, trials(errors))
 
 
 def test_lines_and_tables_have_the_numbers_of_their_own_runs(tmp_path):
@@ -84,3 +96,36 @@ def test_a_path_that_the_judgement_calls_unusable_is_marked_in_table_and_line(tm
     assert set(marked.drop(("people", "singles"))) == {"yes"}
     assert "(not usable)" in found[2].blocks[0]
     assert "(not usable)" not in found[1].blocks[0]
+
+
+def test_jcbb_first_is_the_lab_s_jcbb_and_jcbb_stands_for_it_where_it_was_not_run():
+    log = lab_log()
+    both = Trial(log, "slam", (lab_run(log, "jcbb"), lab_run(log, "jcbb-first")))
+    assert find_lab([both]).find(ODOMETRY, *JCBB).run.association == "jcbb-first"
+    alone = find_lab([Trial(log, "slam", (lab_run(log, "jcbb"),))])
+    assert alone.find(ODOMETRY, *JCBB).run.association == "jcbb"
+
+
+def test_a_run_that_did_not_get_to_its_end_is_said_and_no_picture_of_it_is_asked_for(tmp_path):
+    given = trials()
+    halted = replace(given[0].runs[1], failure=Failure("diverged", 3, stopped("made up")))
+    given[0] = replace(given[0], runs=(given[0].runs[0], halted, *given[0].runs[2:]))
+    sections = answered(tmp_path, given)
+    assert "stopped before the end" in sections[0].blocks[0]
+    assert "Failures." in sections[0].blocks[-1]
+    lab, setup = find_lab(given), Setup().settled(sensed=False)
+    assert KINDS["first-wrong"](lab, setup) is None
+    assert KINDS["people"](lab, setup) is not None, "SINGLES is there"
+
+
+def test_every_picture_has_its_need_and_its_question():
+    asked = [kind for q in QUESTIONS for kind in q.pictures]
+    assert all(q.pictures for q in QUESTIONS)
+    assert set(asked) == {*KINDS}
+    assert len(asked) == len(set(asked))
+
+
+def test_pictures_of_maintenance_need_runs_with_and_without_it(tmp_path):
+    lab = find_lab([t for t in trials() if not t.log.name.endswith(":maintain")])
+    assert draw(tmp_path, "maintenance", lab, Setup()) is None
+    assert write_times(tmp_path, lab, Setup(), ()) is None

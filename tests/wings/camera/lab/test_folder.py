@@ -83,21 +83,16 @@ def test_missing_and_doubled_files_are_named(tmp_path: Path) -> None:
     handmade.refuse(folder, r"log.mat:log, second.npz each hold a log; one")
     (folder / "second.npz").unlink()
     (folder / "log.mat").rename(tmp_path / "log.mat")
+    logs = dict.fromkeys(("log", "log2"), handmade.as_structs(handmade.log_arrays()))
+    scipy.io.savemat(folder / "both.mat", logs)
+    handmade.refuse(folder, "both.mat:log, both.mat:log2 each hold a log; one per folder is needed")
+    (folder / "both.mat").unlink()
     handmade.refuse(
         folder, r"no log found \(there: settings.mat\); a .mat with the struct array log, or a .npy or .npz"
     )
     (tmp_path / "log.mat").rename(folder / "log.mat")
     (folder / "settings.mat").unlink()
     handmade.refuse(folder, r"no configuration found \(there: log.mat\); a .mat, .npy or .npz with camera_to_body")
-
-
-def test_two_logs_in_a_file_are_refused(tmp_path: Path) -> None:
-    folder = handmade.lab(tmp_path / "lab")
-    scipy.io.savemat(
-        folder / "log.mat",
-        {"log": handmade.as_structs(handmade.log_arrays()), "log2": handmade.as_structs(handmade.log_arrays())},
-    )
-    handmade.refuse(folder, "log.mat:log, log.mat:log2 each hold a log; one per folder is needed")
 
 
 def test_a_file_that_does_not_open_is_named_only_if_one_is_missing(tmp_path: Path) -> None:

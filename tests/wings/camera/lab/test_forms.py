@@ -2,7 +2,7 @@
 
 import sys
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -47,23 +47,19 @@ def test_pixels_of_zeros_nan_or_infinity_have_no_point(tmp_path: Path, form: str
         assert none.sum() == 3 * (8 + 2)
 
 
-@pytest.mark.parametrize(
-    "write", [lambda a: a.reshape(1, 2), lambda a: a.reshape(2, 1), lambda a: {"v": a[0], "omega": a[1], "more": 1.0}]
-)
-def test_commands_may_be_a_row_a_column_or_a_struct(tmp_path: Path, write: Callable[[np.ndarray], Any]) -> None:
-    columns: dict[str, Any] = handmade.log_arrays()
-    plain = columns["commands"]
-    columns["commands"] = [write(row) for row in plain]
-    frames = handmade.all_frames(open_lab(handmade.lab(tmp_path / "lab", columns=columns)))
-    np.testing.assert_array_equal([(f.v, f.omega) for f in frames], plain)
+def fields(commands: np.ndarray) -> np.ndarray:
+    return np.array([(v, omega) for v, omega in commands], [("v", "f8"), ("omega", "f8")])
 
 
-@pytest.mark.parametrize("form", ["log.mat", "log.npy", "log.npz"])
-def test_commands_as_numpy_fields_or_dicts_are_read(tmp_path: Path, form: str) -> None:
+@pytest.mark.parametrize(("form", "write"), [
+    ("log.mat", lambda c: [row.reshape(1, 2) for row in c]), ("log.mat", lambda c: [row.reshape(2, 1) for row in c]),
+    ("log.mat", lambda c: [{"v": v, "omega": omega, "more": 1.0} for v, omega in c]),
+    *((form, fields) for form in ("log.mat", "log.npy", "log.npz")),
+])  # fmt: skip
+def test_commands_may_be_rows_columns_structs_or_fields_of_numpy(tmp_path, form, write):
     columns: dict[str, Any] = handmade.log_arrays()
     plain = columns["commands"]
-    columns["commands"] = np.zeros(handmade.FRAMES, dtype=[("v", "f8"), ("omega", "f8")])
-    columns["commands"]["v"], columns["commands"]["omega"] = plain.T
+    columns["commands"] = write(plain)
     frames = handmade.all_frames(open_lab(handmade.lab(tmp_path / "lab", columns=columns, form=form)))
     np.testing.assert_array_equal([(f.v, f.omega) for f in frames], plain)
 
@@ -102,41 +98,18 @@ def test_configuration_and_log_may_share_a_file_and_the_log_may_have_another_nam
     np.testing.assert_array_equal([f.rgb for f in handmade.all_frames(open_lab(folder))], columns["rgb"])
 
 
-@pytest.mark.parametrize("kind", ["dicts", "list", "structs", "npz"])
-def test_objects_are_read_only_when_trusted(tmp_path: Path, kind: str) -> None:
-    columns: dict[str, Any] = handmade.log_arrays()
-    folder = handmade.lab(tmp_path / "lab", form="")
-    if kind == "npz":
-        rgb = np.empty(handmade.FRAMES, object)
-        rgb[:] = list(columns["rgb"])
-        np.savez(folder / "log.npz", **(columns | {"rgb": rgb}))
-    else:
-        one = np.array(None, object)
-        one[()] = list(handmade.as_dicts(columns))
-        log = {"dicts": handmade.as_dicts(columns), "list": one, "structs": handmade.as_structs(columns)}[kind]
-        np.save(folder / "log.npy", log)
-    handmade.refuse(folder, "pickle.*can run code.*--trust-pickle")
-    frames = handmade.all_frames(open_lab(folder, trust_pickle=True))
-    np.testing.assert_array_equal([f.rgb for f in frames], columns["rgb"])
-    np.testing.assert_array_equal([(f.v, f.omega) for f in frames], columns["commands"])
+class Trap:
+    def __reduce__(self) -> Any:
+        return open, ("sprung", "w")
 
 
-def test_a_refused_pickle_runs_nothing(tmp_path: Path) -> None:
+def test_a_refused_pickle_runs_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     folder = handmade.lab(tmp_path / "lab", form="")
-    array = np.empty(1, object)
-    array[0] = _Trap(str(tmp_path / "sprung"))
-    np.save(folder / "log.npy", array)
+    np.save(folder / "log.npy", np.array([Trap()], object))
     assert is_lab(folder)
     handmade.refuse(folder, "--trust-pickle")
     assert not (tmp_path / "sprung").exists()
-
-
-class _Trap:
-    def __init__(self, path: str) -> None:
-        self.path = path
-
-    def __reduce__(self) -> Any:
-        return open, (self.path, "w")
 
 
 @pytest.mark.parametrize(("content", "said"), [

@@ -40,7 +40,9 @@ FORMS: dict[str, Callable[[dict[str, Any], Path], Any]] = {
     "a dict of object arrays (N, 1)": lambda c, _: columns_of_objects(c, (-1, 1)),
     "a dict of object arrays (1, N)": lambda c, _: columns_of_objects(c, (1, -1)),
     "dicts (N, 1)": lambda c, _: handmade.as_dicts(c).reshape(-1, 1),
+    "dicts (N,)": lambda c, _: handmade.as_dicts(c),
     "a list of dicts": lambda c, _: list(handmade.as_dicts(c)),
+    "a struct array": lambda c, _: handmade.as_structs(c),
     "MATLAB's struct array (1, N)": through_matlab,
     "MATLAB's struct array (N, 1)": lambda c, folder: through_matlab(c, folder).T,
     "a dict that calls it log": lambda c, folder: {"__header__": b"", "log": through_matlab(c, folder)},
@@ -53,7 +55,7 @@ def test_every_form_of_objects_gives_the_same_frames_once_trusted(tmp_path: Path
     columns, folder = handmade.log_arrays(), handmade.lab(tmp_path / "lab", form="")
     content, path = FORMS[form](columns, tmp_path), folder / f"log{suffix}"
     if suffix == ".npy":
-        np.save(path, objects([content], ()) if isinstance(content, dict) else content, allow_pickle=True)
+        np.save(path, objects([content], ()) if isinstance(content, dict | list) else content, allow_pickle=True)
     else:
         path.write_bytes(pickle.dumps(content))
     handmade.refuse(folder, rf"log{suffix}: holds Python objects \(a pickle\).*--trust-pickle")
