@@ -7,16 +7,15 @@ import pytest
 
 from association.decide import known_decisions
 from data import se2
-from data.inputs import FrameObservations, Increment, LandmarkMap, Prior, Systematic
+from data.inputs import FrameObservations, Increment, LandmarkMap, Prior
 from data.sensors import RangeBearing
 from data.worlds.arena import Arena, simulate
 from ekf.filter import DEFAULT, FilterOptions
 from ekf.localizer import EkfLocalizer
 from ekf.whole_run import run_filter
 from tests.builders.estimators import drive, ekf_of
+from tests.ekf.test_systematic import ALL, ODOMETRY
 
-ODOMETRY = Systematic(("scale", "curvature", "left", "right", "drift"), np.array([0.02, 2e-3, 0.05, 0.05, 1e-3]), 5.0)
-ALL = Systematic((*ODOMETRY.names, "range", "bearing"), np.append(ODOMETRY.sigma, [0.03, 0.02]), 5.0)
 VARIANTS = {
     "stacked": DEFAULT,
     "iterated": FilterOptions(iterations=5),

@@ -52,14 +52,15 @@ def test_every_step_is_that_of_a_dense_filter(log):
         np.testing.assert_allclose(f.covariance, dense.P, atol=1e-10)
 
 
-def test_what_first_estimates_exclude_is_refused():
+def test_what_first_estimates_and_the_invariant_filter_exclude_is_refused():
     for more in ({"iterations": 3}, {"invariant": True}):
         with pytest.raises(ValueError, match="first estimates"):
             FilterOptions(first_estimates=True, **more)
-    f = EkfSlam(Prior(np.zeros(3), 0.01 * np.eye(3)), RelativePoint(), FEJ)
-    f.update(FrameObservations(np.array([[2.0, 1.0]]), 0.01 * np.eye(2)[None]), np.array([-1]))
-    with pytest.raises(ValueError, match="first estimate"):
-        f.park(np.array([0]))
+    for options, why in ((FEJ, "first estimate"), (FilterOptions(invariant=True), "invariant")):
+        f = EkfSlam(Prior(np.zeros(3), 0.01 * np.eye(3)), RelativePoint(), options)
+        f.update(FrameObservations(np.array([[2.0, 1.0]]), 0.01 * np.eye(2)[None]), np.array([-1]))
+        with pytest.raises(ValueError, match=why):
+            f.park(np.array([0]))
 
 
 def group(xi, points):
@@ -124,13 +125,6 @@ def test_a_stored_run_of_others_is_replayed_step_by_step(shared_data, invariant,
         nees[k] = consistency.nees(pose[None], P[None], truth[:, k][None], "pose")[0]
     ours, theirs = nees[4:], m[stored][0, 4:, 1]
     np.testing.assert_allclose(ours, theirs, rtol=tolerance)
-
-
-def test_landmarks_of_the_invariant_filter_cannot_be_parked():
-    f = EkfSlam(Prior(np.zeros(3), 0.01 * np.eye(3)), RelativePoint(), FilterOptions(invariant=True))
-    f.update(FrameObservations(np.array([[2.0, 1.0]]), 0.01 * np.eye(2)[None]), np.array([-1]))
-    with pytest.raises(ValueError, match="invariant"):
-        f.park(np.array([0]))
 
 
 LANDMARKS = LandmarkMap(np.arange(3), np.array([[2.0, 1.0], [-1.0, 2.5], [1.0, -3.0]]))

@@ -2,12 +2,13 @@
 
 import numpy as np
 
-from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
+from data.inputs import LandmarkMap
 from data.log import Log
 from data.result import NEW, Failure, MapEstimate, Run, Trajectory
-from data.se2 import Array, between
+from data.se2 import Array
 from data.sensors import RangeBearing
 from data.truth import Truth
+from tests.builders.logs import along, inputs_of, observations_of
 
 FRAMES = 40
 SIGMA = np.array([0.1, 0.2, 0.05])
@@ -22,16 +23,11 @@ def true_path() -> Array:
 def circle_log(*, truth: bool = True, landmarks: bool = True, known_map: bool = False, name: str = "circle") -> Log:
     """One observation of landmark 3 in each of the first four frames; time in steps of half a second."""
     path = true_path()
-    mean = np.zeros((FRAMES, 3))
-    mean[1:] = between(path[:-1], path[1:])
-    covariance = np.tile(np.diag([1e-4, 1e-4, 1e-6]), (FRAMES, 1, 1))
     sensor = RangeBearing(max_range=8.0)
     z = np.stack([sensor.predict(path[k], LANDMARKS.xy[:1])[0] for k in range(4)])
-    observations = Observations(np.arange(4), z, np.tile(0.01 * np.eye(2), (4, 1, 1)))
-    time = np.arange(FRAMES, dtype=np.float64) * 0.5
-    inputs = Inputs(
-        Prior(path[0], np.diag(SIGMA**2)), time, Increments(mean, covariance), observations, sensor,
-        LANDMARKS if known_map else None,
+    inputs = inputs_of(
+        along(path, np.diag([1e-4, 1e-4, 1e-6])), observations_of(np.arange(4), z), sensor,
+        LANDMARKS if known_map else None, start=path[0], spread=np.diag(SIGMA**2), time=0.5 * np.arange(FRAMES),
     )  # fmt: skip
     known = Truth(path if truth else None, LANDMARKS if landmarks else None, np.full(4, 3))
     return Log(name, inputs, known)

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
+from data.inputs import LandmarkMap
 from data.log import Log
 from data.result import MapEstimate, Run, Trajectory
-from data.sensors import RelativePoint
 from data.truth import Truth
+from tests.builders.logs import increments_of, inputs_of, observations_of
 
 FRAMES = 5
 POINTS = LandmarkMap(np.array([1, 2]), np.array([[2.0, 0.0], [2.0, 0.5]]))
@@ -27,11 +27,8 @@ def lab_log(*, people: bool = False, odometry: bool = True, seed: int = 0, name:
     mean = np.zeros((FRAMES, 3))
     if odometry:
         mean[1:, 2] = 1e-12  # what was read is not exactly nothing
-    inputs = Inputs(
-        Prior(np.zeros(3), 1e-6 * np.eye(3)), np.arange(FRAMES, dtype=float),
-        Increments(mean, np.tile(0.01 * np.eye(3), (FRAMES, 1, 1))),
-        Observations(frame, z, np.tile(0.01 * np.eye(2), (len(frame), 1, 1))), RelativePoint(), time_is_index=True,
-    )  # fmt: skip
+    steps = increments_of(mean, 0.01 * np.eye(3))
+    inputs = inputs_of(steps, observations_of(frame, z), spread=1e-6, time_is_index=True)
     switches = [w for w, on in (("people", people), ("no-odometry", not odometry)) if on]
     source = {"kind": "corridor", "seed": seed, "corridor": {"people": people, "odometry": odometry, "range": 5.0}}
     log_name = name or ":".join([f"corridor:{seed}", *(["+".join(switches)] if switches else [])])

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from data.formats.open_log import write_folder
-from data.inputs import CLUTTER, UNLABELLED, Increments, Inputs, LandmarkMap, Observations, Prior
+from data.inputs import CLUTTER, UNLABELLED
 from data.log import Log
 from data.questions.summary import longest_run, repeated_in_frame, summarize
 from data.sensors import RangeBearing
 from data.truth import UNKNOWN_ID, Truth
 from eval.figures.map import log_figure
 from eval.inspect import main
-from tests.builders.logs import NOTHING, inputs_of, still
+from tests.builders.logs import NOTHING, increments_of, inputs_of, map_of, observations_of, still
 
 
 def small_log() -> Log:
@@ -28,24 +28,11 @@ def small_log() -> Log:
     z = np.array([[2.0, np.pi / 2], [1.0, 0.0], [2.0, 0.5], [3.0, -0.5], [3.0, 0.1], [11.0, 0.0]])
     pose = np.column_stack([np.cumsum(mean[:, 0]), np.zeros(n), np.zeros(n)])
     pose[3:5] = np.nan
-    covariance = np.tile(np.diag([0.04, 0.01, 0.0001]), (n, 1, 1))
-    covariance[0] = 0.0
+    known, steps = map_of([[0.0, 2.0], [3.0, 6.0]], [1, 4]), increments_of(mean, np.diag([0.04, 0.01, 0.0001]))
     return Log(
         "by-hand",
-        Inputs(
-            prior=Prior(np.zeros(3), np.zeros((3, 3))),
-            time=time,
-            increments=Increments(mean, covariance),
-            observations=Observations(frame, z, np.tile(0.01 * np.eye(2), (6, 1, 1))),
-            sensor=RangeBearing(max_range=10.0),
-            map=LandmarkMap(np.array([1, 4]), np.array([[0.0, 2.0], [3.0, 6.0]])),
-            floored=3,
-        ),
-        Truth(
-            pose,
-            LandmarkMap(np.array([1, 4]), np.array([[0.0, 2.0], [3.0, 6.0]])),
-            np.array([4, 1, 4, UNKNOWN_ID, CLUTTER, UNKNOWN_ID]),
-        ),
+        inputs_of(steps, observations_of(frame, z), RangeBearing(max_range=10.0), known, time=time, floored=3),
+        Truth(pose, known, np.array([4, 1, 4, UNKNOWN_ID, CLUTTER, UNKNOWN_ID])),
         label=np.array([4, 1, 4, 4, 7, UNLABELLED]), labels_are_sensed=True, source={"maker": "hand", "seed": 3},
         notes=("one of a kind",),
     )  # fmt: skip

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from data import se2
-from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, Prior
+from data.inputs import LandmarkMap
 from data.sensors import Range, RangeBearing, RelativePoint
 from ekf.whole_run import run_filter
 from eval.replay.run import compare
 from eval.replay.settings import FILTERS
+from tests.builders import logs
 from tests.oracle.test_linear_world import FRAMES, LANDMARKS, P0, M, R, inputs_of, rotation, world  # noqa: F401
 
 SIGMA = np.array([[0.0, 0.0], [0.4, 0.0], [0.3, 0.6], [0.05, 0.1], [2.0, 1.0], [0.2, 0.2], [0.5, 0.5]])
@@ -73,12 +74,11 @@ def tiny(sensor, noise, seed=3):
     """A drive with errors so small that every model is linear, in a map with errors of the same size, with labels."""
     rng = np.random.default_rng(seed)
     spread = SCALE**2 * np.diag([0.09, 0.06, 0.04])
-    prior = Prior(np.array([1.0, 2.0, 0.4]), spread)
-    truth = [prior.mean + rng.multivariate_normal(np.zeros(3), spread)]
+    start = np.array([1.0, 2.0, 0.4])
+    truth = [start + rng.multivariate_normal(np.zeros(3), spread)]
     steps = np.array([[0.0, 0.0, 0.0], *([0.4, 0.03, 0.3] + 0.1 * rng.standard_normal((11, 3)))])
     for step in steps[1:]:
         truth.append(se2.compose(truth[-1], step + rng.multivariate_normal(np.zeros(3), spread)))
-    covariance = np.array([np.zeros((3, 3)), *[spread] * 11])
     sigma = SCALE * rng.uniform(0.5, 2.0, (6, 2))
     xy = rng.uniform(-4.0, 6.0, (6, 2))
     frame, label = np.nonzero(rng.random((12, 6)) < 0.6)
@@ -86,9 +86,9 @@ def tiny(sensor, noise, seed=3):
     measures = [q in sensor.measures for q in (0, 1)]
     z = z + SCALE * np.array(noise) * measures * rng.standard_normal(z.shape)
     C = np.diag(np.where(measures, (SCALE * np.array(noise)) ** 2, 1.0))
-    seen = LabelledObservations(frame, z, np.tile(C, (len(z), 1, 1)), label)
+    seen = logs.observations_of(frame, z, C, label)
     known = LandmarkMap(np.arange(6), xy + sigma * rng.standard_normal(sigma.shape), sigma=sigma)
-    return Inputs(prior, np.arange(12.0), Increments(steps, covariance), seen, sensor, known)
+    return logs.inputs_of(logs.increments_of(steps, spread), seen, sensor, known, start=start, spread=spread)
 
 
 @pytest.mark.parametrize(

@@ -15,11 +15,12 @@ import numpy as np
 
 from data.inputs import Inputs
 from data.logs import open_log
-from data.se2 import Array, between
+from data.se2 import Array
 from eval.compare import compare
 from eval.referee.effects import without
 from eval.referee.explanations import Evidence, Explanation, evidence_of, explanations
 from eval.referee.residuals import Used
+from tests.builders.logs import along
 
 Draw = Callable[[np.random.Generator, Array, Array], tuple[Array, Array]]
 """Noise of odometry (N, 3) and observations (M, 2) from white noise; both are in stated sigmas."""
@@ -27,20 +28,19 @@ SOUND = "sound"
 
 
 @cache
-def exact() -> tuple[Inputs, Array, Used]:
-    log = open_log("arena:5:frames=120")
+def exact(name: str = "arena:5:frames=120") -> tuple[Inputs, Array, Used]:
+    """A log without noise, its path, and its landmarks."""
+    log = open_log(name)
     r, pose = log.inputs(labels=True), log.truth.pose
     assert pose is not None
     assert log.truth.landmark_of is not None
     assert r.map is not None
     used = Used(r.map.rows(log.truth.landmark_of), r.map.xy, r.map.id)
-    motion = np.zeros_like(pose)
-    motion[1:] = between(pose[:-1], pose[1:])
     z = r.sensor.predict(pose[r.observations.frame], r.map.xy[used.number])
     plain = replace(
         r,
         prior=replace(r.prior, mean=pose[0]),
-        increments=replace(r.increments, mean=motion),
+        increments=along(pose, r.increments.covariance),
         observations=replace(r.observations, z=z),
     )
     return plain, pose, used

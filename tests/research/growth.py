@@ -17,7 +17,7 @@ from matplotlib.ticker import NullFormatter, NullLocator
 from threadpoolctl import threadpool_limits
 
 from association.decide import decide
-from data.inputs import FrameObservations, Increments, Inputs, LabelledObservations, Prior
+from data.inputs import FrameObservations, Inputs
 from data.sensors import RangeBearing
 from data.worlds.registry import named_log
 from eval.benchmarks.speed import GATE, Timed, study_seconds, write
@@ -30,6 +30,7 @@ from eval.plan.flags.table import Options, Output, Study
 from eval.replay.frontend import FrontEnd
 from eval.replay.settings import Setup
 from eval.studies.scenario import load_scenario
+from tests.builders.logs import increments_of, inputs_of, observations_of
 
 ESTIMATORS = ("ekf", "batch", "isam2")
 PER_METRE = 5  # landmarks per metre along the line of `line_world`
@@ -52,13 +53,8 @@ def line_world(landmarks: int) -> Inputs:
         z += list(exact[seen] + sigma * rng.standard_normal((len(seen), 2)))
     noise = np.array([0.02, 0.02, 0.005])
     mean = np.array([1.0, 0.0, 0.0]) + noise * rng.standard_normal((frames, 3))
-    covariance = np.tile(np.diag(noise**2), (frames, 1, 1))
-    mean[0], covariance[0] = 0.0, 0.0
-    observations = LabelledObservations(
-        np.array(frame, np.int64), np.array(z), np.tile(np.diag(sigma**2), (len(z), 1, 1)), np.array(label, np.int64)
-    )
-    prior = Prior(np.array([0.5, 0.0, 0.0]), np.diag([1e-4, 1e-4, 1e-6]))
-    return Inputs(prior, np.arange(frames, dtype=np.float64), Increments(mean, covariance), observations, sensor)
+    steps, seen = increments_of(mean, np.diag(noise**2)), observations_of(frame, z, np.diag(sigma**2), label)
+    return inputs_of(steps, seen, sensor, start=[0.5, 0.0, 0.0], spread=np.diag([1e-4, 1e-4, 1e-6]))
 
 
 def _frames(frames: int) -> Costs:

@@ -19,33 +19,12 @@ from tests.quick import slow
 from tests.research import confusion
 
 
-@pytest.fixture(scope="module")
-def log():
-    return open_log("arena:2")
-
-
-def truly(log):
-    """What is used, with every landmark where it is."""
-    places = log.truth.landmarks
-    return Used(places.rows(log.truth.landmark_of), places.xy, places.id)
-
-
-def noiseless(log):
-    r, pose, o = log.recorded, log.truth.pose, log.recorded.observations
-    motion = np.zeros_like(pose)
-    motion[1:] = between(pose[:-1], pose[1:])
-    z = r.sensor.predict(pose[o.frame], log.truth.landmarks.positions(log.truth.landmark_of))
-    return replace(
-        r, increments=Increments(motion, r.increments.covariance), observations=Observations(o.frame, z, o.R)
-    )
-
-
-def test_residuals_are_what_was_added_in_stated_sigmas(log):
-    found = smoothed_residuals(noiseless(log), log.truth.pose, truly(log))
+def test_residuals_are_what_was_added_in_stated_sigmas():
+    found = smoothed_residuals(*confusion.exact("arena:2"))
     assert np.nanmax(np.abs(found.odometry)) < 1e-9
     assert np.nanmax(np.abs(found.observations)) < 1e-9
     assert np.isnan(found.odometry[0]).all()
-    inputs, rng = noiseless(log), np.random.default_rng(0)
+    (inputs, path, used), rng = confusion.exact("arena:2"), np.random.default_rng(0)
     o, M = inputs.observations, inputs.increments.covariance
     u, v = rng.normal(size=o.z.shape), rng.normal(size=(len(inputs), 3))
     sigma = np.sqrt(np.einsum("nii->ni", M))
@@ -53,11 +32,11 @@ def test_residuals_are_what_was_added_in_stated_sigmas(log):
         inputs, increments=Increments(inputs.increments.mean + sigma * v, M),
         observations=Observations(o.frame, o.z + np.sqrt(np.einsum("mii->mi", o.R)) * u, o.R),
     )  # fmt: skip
-    found = smoothed_residuals(noisy, log.truth.pose, truly(log))
+    found = smoothed_residuals(noisy, path, used)
     assert found.observations == pytest.approx(u, abs=1e-6)
     assert found.odometry[1:] == pytest.approx(v[1:], abs=1e-6)
     assert found.squared == pytest.approx((u**2).sum(axis=1), abs=1e-6)
-    statistics = summaries(found, noisy, truly(log))
+    statistics = summaries(found, noisy, used)
     assert statistics["residual_z1_mean"] == pytest.approx(u[:, 0].mean())
     assert statistics["residual_odometry_theta_spread"] == pytest.approx(v[1:, 2].std())
     assert statistics["residual_z2_largest"] == pytest.approx(np.abs(u[:, 1]).max())
@@ -65,32 +44,25 @@ def test_residuals_are_what_was_added_in_stated_sigmas(log):
     assert typical(found)["z1"] == pytest.approx(1.0, abs=0.1)
 
 
-def test_a_wrong_pairing_fits_another_landmark_and_an_outlier_fits_none(log):
-    inputs, used = noiseless(log), truly(log)
-    assert misfits(inputs, log.truth.pose, used, smoothed_residuals(inputs, log.truth.pose, used))[:2] == (0, 0)
+def test_a_wrong_pairing_fits_another_landmark_and_an_outlier_fits_none():
+    inputs, path, used = confusion.exact("arena:2")
+    assert misfits(inputs, path, used, smoothed_residuals(inputs, path, used))[:2] == (0, 0)
     wrong = used.number.copy()
     wrong[100] = (wrong[100] + 1) % len(used.landmarks)
     swapped = Used(wrong, used.landmarks, used.identity)
-    found = smoothed_residuals(inputs, log.truth.pose, swapped)
-    outlying, elsewhere, excess = misfits(inputs, log.truth.pose, swapped, found)
+    found = smoothed_residuals(inputs, path, swapped)
+    outlying, elsewhere, excess = misfits(inputs, path, swapped, found)
     assert (outlying, elsewhere) == (1, 1)
     assert excess > 0.0
     z = inputs.observations.z.copy()
     z[100] = [60.0, 0.3]
     far = replace(inputs, observations=replace(inputs.observations, z=z))
-    assert misfits(far, log.truth.pose, used, smoothed_residuals(far, log.truth.pose, used))[:2] == (1, 0)
-
-
-def exactly(name):
-    """A log without noise, its path, and its landmarks."""
-    log = open_log(name)
-    inputs, pose = noiseless(log), log.truth.pose
-    return replace(inputs, prior=replace(inputs.prior, mean=pose[0])), pose, truly(log)
+    assert misfits(far, path, used, smoothed_residuals(far, path, used))[:2] == (1, 0)
 
 
 @pytest.fixture(scope="module", params=["arena:2", "linear:1"])
 def world(request):
-    return exactly(request.param)
+    return confusion.exact(request.param)
 
 
 def test_every_error_is_found_with_its_size_and_comes_out_again(world):

@@ -8,11 +8,12 @@ from scipy.optimize import least_squares
 
 from association.decide import known_decisions
 from data import se2
-from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, Prior
+from data.inputs import Increments
 from data.result import MapState
 from data.sensors import Line
 from graph.batch import smooth
 from graph.problem import Start
+from tests.builders.logs import inputs_of, map_of, observations_of
 from tests.graph.calibrating import logarithm
 from tests.graph.driving import for_task
 from tests.graph.worlds import OFF_CENTRE, circle, order_of_creation
@@ -147,12 +148,6 @@ def drive_in_a_room(seed, *, seconds=300, sensor=None, R=R_ROOM, every=4, reach=
     z = sensor.predict(truth[frame], walls[label]) + rng.multivariate_normal(np.zeros(2), R, len(frame))
     z[:, 1] = se2.wrap_angle(z[:, 1])
     P0 = np.diag([1e-4, 1e-4, 1e-4])
-    inputs = Inputs(
-        Prior(truth[0] + rng.multivariate_normal(np.zeros(3), P0), P0),
-        np.arange(n) / RATE,
-        Increments(mean, covariance),
-        LabelledObservations(frame, z, np.tile(R, (len(z), 1, 1)), label),
-        sensor,
-        LandmarkMap(np.arange(len(walls)), walls),
-    )
-    return inputs, truth
+    start = truth[0] + rng.multivariate_normal(np.zeros(3), P0)
+    steps, seen = Increments(mean, covariance), observations_of(frame, z, R, label)
+    return inputs_of(steps, seen, sensor, map_of(walls), start=start, spread=P0, time=np.arange(n) / RATE), truth

@@ -255,15 +255,19 @@ def cameras(count):
     return gtsam.NonlinearFactorGraph(), values, poses
 
 
+def see(graph, values, poses, points, factor):
+    """Every point from every pose, as a factor of pixels, noise, and both keys."""
+    for j, point in enumerate(points):
+        values.insert(P(j), point)
+        for k, pose in enumerate(poses):
+            z = gtsam.PinholeCameraCal3_S2(pose, K).project(point)
+            graph.add(factor(z, N.Isotropic.Sigma(2, 1.0), X(k), P(j)))
+
+
 def test_cameras_leave_a_scale_open():
     graph, values, poses = cameras(5)
     points = np.random.default_rng(0).uniform([-3, -3, 6], [3, 3, 12], (12, 3))
-    for k, pose in enumerate(poses):
-        for j, point in enumerate(points):
-            z = gtsam.PinholeCameraCal3_S2(pose, K).project(point)
-            graph.add(gtsam.GenericProjectionFactorCal3_S2(z, N.Isotropic.Sigma(2, 1.0), X(k), P(j), K))
-    for j, point in enumerate(points):
-        values.insert(P(j), point)
+    see(graph, values, poses, points, lambda *of: gtsam.GenericProjectionFactorCal3_S2(*of, K))
     facts = slamref.audit(graph, values, draws=0).facts
     assert (facts.gauge, facts.loose) == (7, ())
 
@@ -392,12 +396,7 @@ def test_a_calibration_that_is_unknown_with_one_prior_leaves_the_scale_and_no_si
     seen, values, poses = cameras(6)
     points = np.random.default_rng(1).uniform([-3, -3, 6], [3, 3, 12], (15, 3))
     seen.add(gtsam.PriorFactorPose3(X(0), poses[0], N.Isotropic.Sigma(6, 0.01)))
-    for k, pose in enumerate(poses):
-        for j, point in enumerate(points):
-            z = gtsam.PinholeCameraCal3_S2(pose, K).project(point)
-            seen.add(gtsam.GeneralSFMFactor2Cal3_S2(z, N.Isotropic.Sigma(2, 1.0), X(k), P(j), gtsam.symbol("k", 0)))
-    for j, point in enumerate(points):
-        values.insert(P(j), point)
+    see(seen, values, poses, points, lambda *of: gtsam.GeneralSFMFactor2Cal3_S2(*of, gtsam.symbol("k", 0)))
     values.insert(gtsam.symbol("k", 0), K)
     values.insert(L(9), np.zeros(3))
     facts = slamref.audit(seen, values, draws=0).facts

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from data.errors import DataError, UsageError
 from data.formats.mrclam import FROZEN, load_mrclam
-from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
+from data.inputs import LandmarkMap
 from data.logs import Reading
 from data.result import DISCARD
 from data.se2 import between, compose, inverse
-from data.sensors import RangeBearing, RelativePoint
+from data.sensors import RangeBearing
 from eval.compare import compare
 from eval.judgement.judgement import judge
 from eval.plan.flags.table import Selection
@@ -25,6 +25,7 @@ from eval.referee.result_files import TEAM
 from eval.referee.score import Trial, score
 from eval.replay.settings import Setup
 from eval.report.terminal import groups_of
+from tests.builders.logs import increments_of, inputs_of, observations_of
 from tests.builders.unpacked import unpacked
 from wings.cooperative.experiments import experiments, named_team, team_logs
 from wings.cooperative.filters import Gates, TeamFilter, independent, intersected
@@ -43,13 +44,10 @@ def linear_pair(rng, frames=6):
     of_landmark, of_robot = rng.normal(1.0, 0.5, (frames, 2)), rng.normal(1.0, 0.5, (2, frames, 2))
     members, labels, seen = [], [], []
     for k in range(2):
-        mean = np.column_stack([moves[k], np.zeros(frames)])
-        mean[0] = 0.0
-        covariance = np.tile(Q, (frames, 1, 1))
+        steps = increments_of(np.column_stack([moves[k], np.zeros(frames)]), Q)
         rows = frames if k == 0 else 0  # robot 1 alone sees the landmark
-        o = Observations(np.arange(rows), of_landmark[:rows], np.tile(R, (rows, 1, 1)))
-        time = np.arange(frames, dtype=float)
-        members.append(Inputs(Prior(prior[k], P), time, Increments(mean, covariance), o, RelativePoint(), KNOWN))
+        seen_by_it = observations_of(np.arange(rows), of_landmark[:rows], R)
+        members.append(inputs_of(steps, seen_by_it, known=KNOWN, start=prior[k], spread=P))
         labels.append(np.zeros(rows, np.int64))
         seen.append((np.arange(frames), of_robot[k], np.tile(R, (frames, 1, 1)), np.full(frames, 2 - k)))
     return team_of((1, 2), members, labels, (0.0, 0.0), seen), (P, Q, R, prior, moves, of_landmark, of_robot)

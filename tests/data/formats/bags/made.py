@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tests.data.formats.recordings.ros.bags import START, Maker, get_types_from_msg
 
@@ -66,15 +67,18 @@ class Full(Maker):
             linear_acceleration=vector, linear_acceleration_covariance=zeros,
         )  # fmt: skip
 
-    def pose(self, at: float, pose: Iterable[float], topic: str = "/amcl_pose", variance: float = 0.0) -> None:
-        covariance = variance * np.diag([1.0, 2.0, 9.0, 9.0, 9.0, 0.5])
-        stated = self._of("geometry_msgs/msg/PoseWithCovariance", self._pose(*pose), covariance.ravel())
+    def pose(self, at: float, pose: Iterable[float], topic: str = "/amcl_pose", variance: ArrayLike = 0.0) -> None:
+        """`variance`: of x, or the whole covariance (6, 6)."""
+        C = np.asarray(variance, float) if np.ndim(variance) else variance * np.diag([1.0, 2.0, 9.0, 9.0, 9.0, 0.5])
+        stated = self._of("geometry_msgs/msg/PoseWithCovariance", self._pose(*pose), C.ravel())
         kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
         self._send(at, topic, kind, header=self._header("map", at), pose=stated)
 
-    def bare_pose(self, at: float, pose: Iterable[float], topic: str = "/mocap") -> None:
-        kind = "geometry_msgs/msg/PoseStamped"
-        self._send(at, topic, kind, header=self._header("map", at), pose=self._pose(*pose))
+    def bare_pose(
+        self, at: float, pose: Iterable[float], topic: str = "/mocap", frame: str = "map", *, stamped: bool = True
+    ) -> None:
+        header = self._header(frame, at if stamped else None)
+        self._send(at, topic, "geometry_msgs/msg/PoseStamped", header=header, pose=self._pose(*pose))
 
     def place(self, at: float, xy: Iterable[float], topic: str = "/prism") -> None:
         point = self._of("geometry_msgs/msg/Point", *map(float, xy), 0.0)

@@ -9,7 +9,8 @@ from data.errors import DataError, UsageError
 from data.formats.results.path import WORLD
 from data.formats.results.reading import read_path
 from eval.score import main as score
-from tests.data.formats.recordings.ros.bags import FORMS, START, TF, Maker
+from tests.data.formats.bags.made import START, Full
+from tests.data.formats.recordings.ros.bags import FORMS
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
@@ -21,17 +22,11 @@ def covariance(k):
 
 def bag(form, folder, known=lambda k: True):
     """Five poses on /amcl, written with the last one first; odometry without covariance on /odom."""
-    maker = Maker(form)
+    maker = Full(form)
     for k in (4, 0, 1, 2, 3):
-        place = maker._of(
-            "geometry_msgs/msg/Pose",
-            maker._of("geometry_msgs/msg/Point", float(k), 0.5 * k, 0.25),
-            maker._turn(0.7 * k),
-        )
         C = covariance(k).ravel() if known(k) else np.zeros(36)
-        pose = maker._of("geometry_msgs/msg/PoseWithCovariance", place, C)
-        message = maker._of(POSE, header=maker._header("map", 0.1 * k), pose=pose)
-        maker.messages.append((float(k != 4) + 0.1 * k, "/amcl", POSE, message))
+        pose = maker._of("geometry_msgs/msg/PoseWithCovariance", maker._pose(k, 0.5 * k, 0.7 * k, 0.25), C)
+        maker._send(float(k != 4) + 0.1 * k, "/amcl", POSE, header=maker._header("map", 0.1 * k), pose=pose)
         maker.odometry(0.1 * k, (k, 0.0, 0.0))
     return maker.save(folder)
 
@@ -66,32 +61,6 @@ def test_which_topic_must_be_said_where_there_are_several(tmp_path):
     assert len(read_path(f"{where}:amcl").time) == 5, "topics of old bags have no slash: it does not matter"
 
 
-BARE = "geometry_msgs/msg/PoseStamped"
-
-
-def pose(maker, x, y, yaw):
-    return maker._of(
-        "geometry_msgs/msg/Pose", maker._of("geometry_msgs/msg/Point", float(x), float(y), 0.0), maker._turn(yaw)
-    )
-
-
-def stamped(maker, at, topic, frame, x, y, yaw, *, stamp=True):
-    message = maker._of(BARE, header=maker._header(frame, at if stamp else None), pose=pose(maker, x, y, yaw))
-    maker.messages.append((at, topic, BARE, message))
-
-
-def certain(maker, at, topic, frame, place, C):
-    held = maker._of("geometry_msgs/msg/PoseWithCovariance", pose(maker, *place), np.asarray(C, float).ravel())
-    maker.messages.append((at, topic, POSE, maker._of(POSE, header=maker._header(frame, at), pose=held)))
-
-
-def transform(maker, at, parent, child, x, y, yaw, topic="/tf"):
-    moved = maker._of("geometry_msgs/msg/Vector3", float(x), float(y), 0.0)
-    turned = maker._of("geometry_msgs/msg/Transform", moved, maker._turn(yaw))
-    one = maker._of("geometry_msgs/msg/TransformStamped", maker._header(parent, at), child, turned)
-    maker.messages.append((at, topic, TF, maker._of(TF, [one])))
-
-
 WAY = [(0.5 * k, math.sin(0.3 * k), 0.1 * k) for k in range(30)]
 
 
@@ -103,15 +72,15 @@ def moved(place, T):
 
 def bags(tmp_path, tf):
     """An estimate in `map` on /amcl, and a truth in `odom` on /truth; map_T_odom changes if `tf` is moving."""
-    maker = Maker("mcap")
+    maker = Full("mcap")
     for k, place in enumerate(WAY):
         T = (3.0 + (0.1 * k if tf == "moving" else 0.0), -2.0, 0.4)
-        certain(maker, float(k), "/amcl", "map", moved(place, T), 0.01 * np.eye(6))
-        stamped(maker, float(k), "/truth", "/odom", *place)
+        maker.pose(float(k), moved(place, T), "/amcl", 0.01 * np.eye(6))
+        maker.bare_pose(float(k), place, "/truth", "/odom")
         if tf == "moving":
-            transform(maker, float(k), "map", "odom", *T)
+            maker.transform(float(k), "map", "odom", T)
     if tf == "static":
-        transform(maker, 0.0, "map", "odom", 3.0, -2.0, 0.4, "/tf_static")
+        maker.mounting("map", "odom", 3.0, -2.0, 0.4)
     where = maker.save(tmp_path)
     return [f"{where}:/amcl", f"{where}:/truth"]
 
@@ -137,11 +106,11 @@ def test_without_tf_it_is_asked_and_an_alignment_needs_no_answer(tmp_path, capsy
 
 
 def test_a_path_that_tf_alone_publishes_is_read_by_the_names_of_two_frames(tmp_path):
-    maker = Maker("mcap")
+    maker = Full("mcap")
     for k, place in enumerate(WAY):
-        transform(maker, float(k), "odom", "base_link", *place)
+        maker.transform(float(k), "odom", "base_link", place)
         if k % 10 == 0:
-            transform(maker, float(k), "map", "odom", 3.0 + 0.1 * k, -2.0, 0.4)
+            maker.transform(float(k), "map", "odom", (3.0 + 0.1 * k, -2.0, 0.4))
     where = maker.save(tmp_path)
     assert read_path(f"{where}:/tf:odom.base_link").pose == pytest.approx(np.array(WAY), abs=1e-12)
     path = read_path(f"{where}:/tf:map.base_link")
@@ -154,9 +123,9 @@ def test_a_path_that_tf_alone_publishes_is_read_by_the_names_of_two_frames(tmp_p
 
 
 def test_poses_without_covariance_and_without_stamps_are_read_and_said(tmp_path):
-    maker = Maker("sqlite3")
+    maker = Full("sqlite3")
     for k, place in enumerate(WAY):
-        stamped(maker, float(k), "/pose", "map", *place, stamp=k != 3)
+        maker.bare_pose(float(k), place, "/pose", stamped=k != 3)
     path = read_path(str(maker.save(tmp_path)))
     assert path.covariance is None
     assert path.pose == pytest.approx(np.array(WAY), abs=1e-12)
@@ -169,9 +138,9 @@ def test_half_a_covariance_of_a_message_is_mirrored_and_a_bent_one_refused(tmp_p
     root = rng.normal(size=(6, 6))
     C = root @ root.T
     for name, M in (("half", np.triu(C)), ("bent", np.triu(C) + np.tril(C, -1) * 0.5)):
-        maker = Maker("mcap")
+        maker = Full("mcap")
         for k, place in enumerate(WAY):
-            certain(maker, float(k), "/pose", "map", place, M)
+            maker.pose(float(k), place, "/pose", M)
         (tmp_path / name).mkdir()
         where = str(maker.save(tmp_path / name))
         if name == "bent":

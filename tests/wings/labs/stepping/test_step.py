@@ -3,8 +3,8 @@
 import builtins
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
-import matplotlib
 import numpy as np
 import pytest
 from matplotlib import pyplot
@@ -96,19 +96,24 @@ def test_what_is_printed_on_the_way_is_what_the_referee_says_in_the_end(argument
     assert dict(zip(("TP", "TN", "FP", "FN"), sums.sum(axis=0).tolist())) == counts
 
 
-class Unpainted(ImageWriter):
-    """Asks for all that pictures need, and paints none."""
+def blind(names):
+    """Windows that nobody looks at: what is painted is never rendered; their names are kept."""
 
-    def show(self, name, paint, stem) -> None:
-        pass
+    def figure(num: str, clear: bool) -> Figure:
+        assert clear
+        names.append(num)
+        return Figure()
+
+    return SimpleNamespace(figure=figure, pause=lambda seconds: None)
 
 
-def test_looking_on_changes_no_number(tmp_path):
+def test_looking_on_changes_no_number(monkeypatch):
+    monkeypatch.setattr(ImageWriter, "show", lambda *_: None)  # asks for all that pictures need, and paints none
     log = open_log("corridor:0:people")
     for estimator in ("ekf", "isam2"):
         for association in ("known", "jcbb"):
             short = shortened(log, 10).inputs(labels=association == "known").without_map()
-            walk = Walk(log, "slam", estimator, Unpainted(None, Blind()), pausing=False)
+            walk = Walk(log, "slam", estimator, ImageWriter(None, blind([])), pausing=False)
             seen = step_by_step(estimator, short, "slam", association, observer=walk, finish=False)
             alone = step_by_step(estimator, short, "slam", association, finish=False)
             assert np.array_equal(seen.online.pose, alone.online.pose)
@@ -116,32 +121,17 @@ def test_looking_on_changes_no_number(tmp_path):
             assert np.array_equal(seen.decisions, alone.decisions)
 
 
-class Blind:
-    """Windows that nobody looks at: what is painted is never rendered."""
-
-    def __init__(self) -> None:
-        self.names: list[str] = []
-
-    def figure(self, num: str, clear: bool) -> Figure:
-        assert clear
-        self.names.append(num)
-        return matplotlib.figure.Figure()
-
-    def pause(self, seconds: float) -> None:
-        pass
-
-
 @pytest.mark.slow
 def test_the_order_is_move_observe_compatibility_matching_update(sitting, monkeypatch, capsys):
     asked = sitting(lambda n: "")
-    windows = Blind()
-    monkeypatch.setattr(pictures, "open_windows", lambda: windows)
+    names = []
+    monkeypatch.setattr(pictures, "open_windows", lambda: blind(names))
     assert main(["--log", "corridor:0", "--task", "slam", "--frames", "2"]) == 0
     stages = [prompt.strip(" []").split(";")[0] for prompt in asked]
     cycle = ["move", "observe", "compatibility", "matching", "update"]
     assert stages == ["observe", "update", *cycle, "end"]
     second = ["ground-truth", "map", "observations", "compatibility", "matching", "map"]
-    assert windows.names == ["ground-truth", "observations", "map", *second, "error"]
+    assert names == ["ground-truth", "observations", "map", *second, "error"]
     out = capsys.readouterr().out
     assert "step 1, move: odometry 1.0" in out
     assert "step 1, compatibility: " in out
@@ -230,19 +220,13 @@ def test_maintenance_needs_slam(refused):
     assert "for slam only; type --task slam" in refused(main, ["corridor:0", "--maintain", "--run-through"])
 
 
-class Windows:
-    """pyplot as `Album` uses it, where nobody sees the windows; `draw_idle` draws at once."""
-
-    figure = staticmethod(pyplot.figure)
-
-    @staticmethod
-    def pause(_: float) -> None:
-        """Nobody looks; `draw_idle` has drawn the window."""
+WINDOWS = SimpleNamespace(figure=pyplot.figure, pause=lambda _: None)
+"""pyplot as `Album` uses it, where nobody sees the windows; `draw_idle` draws at once."""
 
 
 def test_apicture_axes_that_is_saved_and_drawn_again_needs_no_layout(tmp_path):
     """Warnings are errors here; seen: layoutgrids, of a figure whose axes stand where they were put."""
-    images = ImageWriter(tmp_path, Windows)
+    images = ImageWriter(tmp_path, WINDOWS)
     try:
         for step in ("1", "2"):
             images.show("picture", lambda fig: picture_axes(fig).plot([0.0, 1.0]), step)
@@ -255,7 +239,7 @@ def test_apicture_axes_that_is_saved_and_drawn_again_needs_no_layout(tmp_path):
 @pytest.mark.slow
 def test_windows_are_drawn_again_and_again_without_a_warning(tmp_path):
     log = shortened(open_log("corridor:0:people"), 2)
-    walk = Walk(log, "slam", "ekf", ImageWriter(tmp_path, Windows), pausing=False)
+    walk = Walk(log, "slam", "ekf", ImageWriter(tmp_path, WINDOWS), pausing=False)
     try:
         step_by_step("ekf", log.inputs().without_map(), "slam", "jcbb", Setup(), observer=walk)
         assert len(pyplot.get_fignums()) > 2

@@ -22,7 +22,7 @@ from data.words import sentence
 from data.worlds.registry import named_log
 from tests.wings.laser.formats.carmen_text import flaser, odom, robotlaser
 from wings.laser import convert as conversions
-from wings.laser.carmen import largest_range, load_carmen
+from wings.laser.carmen import load_carmen
 
 RAW = named_log("floorplan:2:frames=500")
 
@@ -129,13 +129,6 @@ def test_half_the_angle_between_beams_is_asked_for(load):
     assert question.code == Code.BEAM_ANGLES
     assert question.named["mended"] == pytest.approx(1.0)
     assert load(lines, beam_step=1.0).recorded.scans.scanner.angle_step == pytest.approx(math.pi / 180)
-
-
-def test_readings_that_pile_up_below_the_stated_maximum_are_no_returns():
-    ranges = np.random.default_rng(0).uniform(0.5, 20.0, (50, 180))
-    ranges[:, ::9] = 29.96
-    assert largest_range(ranges, 80.0)[0] == 29.96
-    assert largest_range(np.minimum(ranges, 20.0)[:, 1::9], 80.0)[0] == 80.0
 
 
 def test_the_pose_of_a_scan_line_is_the_frames(load):

@@ -25,6 +25,10 @@ def path_of(seed: int, frames: int = 1200, speed: float = 0.5) -> tuple[Array, A
     return building.walls, drive(building.ways, np.random.default_rng(seed), time, speed, 0.6)
 
 
+def moves_of(path: Array) -> Array:
+    return np.concatenate([np.zeros((1, 3)), between(path[:-1], path[1:])])
+
+
 def backing(truth: Array, rng: np.random.Generator, every: int = 150, back: int = 40) -> tuple[Array, IntArray]:
     """The path with stretches driven back and forth, and the sign of each step's motion."""
     order, sign = [0], [1]
@@ -48,9 +52,7 @@ def recorded(
     """A log of a path (N, 3) with odometry whose increments are `told` (N, 3), those of the path by default, plus
     noise with the travel as of real wheels. One of `thin` frames has a scan, of the walls or as given.
     """
-    exact = np.zeros_like(truth)
-    exact[1:] = between(truth[:-1], truth[1:])
-    told = exact if told is None else told
+    told = moves_of(truth) if told is None else told
     distance, turn = np.hypot(told[:, 0], told[:, 1]), np.abs(told[:, 2])
     along, about = np.sqrt(0.03**2 * distance + 0.03**2 * turn), np.sqrt(0.05**2 * distance + 0.04**2 * turn)
     odometry = told + np.stack([along, along, about], axis=1) * rng.standard_normal(truth.shape)
@@ -68,8 +70,7 @@ def reporting_forward(seed: int) -> Log:
     walls, truth = path_of(seed)
     rng = np.random.default_rng(seed + 1000)
     truth, sign = backing(truth, rng)
-    told = np.zeros_like(truth)
-    told[1:] = between(truth[:-1], truth[1:])
+    told = moves_of(truth)
     told[:, 0] *= sign
     assert (told[1:, 0] > -0.02).all()
     return recorded(truth, walls, rng, told=told)
@@ -79,8 +80,7 @@ def slipping_at_rest(seed: int, angle: float, thin: int = 5) -> Log:
     """A robot that turns by up to an angle [rad] while its wheels say that it rests, seven times."""
     walls, truth = path_of(seed, 600)
     rng = np.random.default_rng(seed + 2000)
-    told = np.zeros_like(truth)
-    told[1:] = between(truth[:-1], truth[1:])
+    told = moves_of(truth)
     turned, spoken = [], []
     for part, own in zip(np.array_split(truth, 7), np.array_split(told, 7), strict=True):
         # turned by the slip in `thin` frames, which the wheels do not see, and back, which they do
@@ -144,8 +144,7 @@ def halls(
             points.append(np.array(to) + rng.uniform(-0.2, 0.2, 2))
         x = following
     truth = through(points, frames)
-    told = np.zeros_like(truth)
-    told[1:] = between(truth[:-1], truth[1:])
+    told = moves_of(truth)
     told[:, 2] = (told[:, 2] + math.pi) % (2.0 * math.pi) - math.pi
     told[:, 2] += bias * np.hypot(told[:, 0], told[:, 1])
     scanner = replace(SICK, max_range=reach)
@@ -191,8 +190,7 @@ def ring(
     corners = [(m, m), (width - m, m), (width - m, depth - m), (m, depth - m)]
     points = [np.array(p) + rng.uniform(-0.2, 0.2, 2) for _ in range(rounds) for p in corners] + [np.array([30.0, m])]
     truth = through(points, 100_000)
-    told = np.zeros_like(truth)
-    told[1:] = between(truth[:-1], truth[1:])
+    told = moves_of(truth)
     told[:, 2] = (told[:, 2] + math.pi) % (2.0 * math.pi) - math.pi
     told[:, 0] *= 1.0 + scale
     return recorded(truth, lines, rng, glass=clear, told=told, scanner=replace(SICK, max_range=reach))
