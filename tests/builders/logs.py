@@ -79,10 +79,9 @@ def without_frames(log: Log, gone: slice) -> Log:
     r, o, kept = log.recorded, log.recorded.observations, np.ones(len(log.recorded), bool)
     kept[gone] = False
     seen = kept[o.frame]
-    increments = Increments(r.increments.mean[kept], r.increments.covariance[kept])
-    observations = Observations((np.cumsum(kept) - 1)[o.frame[seen]], o.z[seen], o.R[seen])
+    observations = replace(o.only(seen), frame=(np.cumsum(kept) - 1)[o.frame[seen]])
     label, ids = (None if of is None else of[seen] for of in (log.label, log.truth.landmark_of))
-    recorded = replace(r, time=r.time[: kept.sum()], increments=increments, observations=observations)
+    recorded = replace(r, time=r.time[: kept.sum()], increments=r.increments.only(kept), observations=observations)
     return replace(
         log, recorded=recorded, truth=replace(log.truth, pose=log.truth.pose[kept], landmark_of=ids), label=label
     )

@@ -37,22 +37,10 @@ def isam2(inputs, **options):
 
 
 def first(inputs, n):
-    f, c = inputs.fixes, inputs.closures
+    fixes, closures = inputs.fixes.before(n), inputs.closures.before(n)
     return replace(
-        inputs,
-        time=inputs.time[:n],
-        increments=replace(
-            inputs.increments, mean=inputs.increments.mean[:n], covariance=inputs.increments.covariance[:n]
-        ),
-        fixes=_some(f, f.frame < n),
-        closures=_some(c, c.later < n),
+        inputs, time=inputs.time[:n], increments=inputs.increments.only(slice(n)), fixes=fixes, closures=closures
     )
-
-
-def _some(measured, which):
-    names = set(measured.__dataclass_fields__) - {"sources", "first"}
-    arrays = {name: getattr(measured, name)[which] for name in names}
-    return replace(measured, **arrays)
 
 
 def test_isam2_ends_at_the_optimum_of_the_batch_smoother_and_its_newest_poses_are_those_of_the_data_so_far():
@@ -99,8 +87,8 @@ def test_a_linear_world_gives_the_filters_innovations_and_estimate(make):
                 before = first(inputs, k + 1)
                 before = replace(
                     before,
-                    fixes=_some(before.fixes, np.arange(len(before.fixes)) < seen_fixes),
-                    closures=_some(before.closures, np.arange(len(before.closures)) < seen_closures),
+                    fixes=before.fixes.only(np.arange(len(before.fixes)) < seen_fixes),
+                    closures=before.closures.only(np.arange(len(before.closures)) < seen_closures),
                 )
                 path, P = dense(before, truth[: k + 1])
                 if kind == "fixes":

@@ -4,7 +4,9 @@ import numpy as np
 
 from data import se2
 from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, Prior
+from data.log import Log, shortened
 from data.sensors import RangeBearing, RelativePoint
+from data.truth import Truth
 
 OFF_CENTRE = {"rotation": 0.6, "translation": (0.3, -0.2)}
 SENSORS = {
@@ -52,13 +54,7 @@ def circle(sensor, *, frames=60, landmarks=8, noise=1.0, seed=0, see=0.7, R=None
 
 
 def truncated(inputs, frames):
-    o = inputs.observations
-    m = inputs.start[frames]
-    return Inputs(
-        inputs.prior, inputs.time[:frames],
-        Increments(inputs.increments.mean[:frames], inputs.increments.covariance[:frames]),
-        LabelledObservations(o.frame[:m], o.z[:m], o.R[:m], o.label[:m]), inputs.sensor, inputs.map,
-    )  # fmt: skip
+    return shortened(Log("cut", inputs, Truth()), frames).recorded
 
 
 def order_of_creation(inputs, decisions, created):

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from data.inputs import Observations
 from data.log import Log
 from eval.figures.style import colour_of_method
 from eval.referee.score import Trial
@@ -95,7 +94,7 @@ def log() -> Log:
     full = lab_log()
     seen = full.recorded.observations
     kept = seen.frame != BLIND
-    recorded = replace(full.recorded, observations=Observations(seen.frame[kept], seen.z[kept], seen.R[kept]))
+    recorded = replace(full.recorded, observations=seen.only(kept))
     return replace(full, recorded=recorded, truth=replace(full.truth, landmark_of=full.truth.landmark_of[kept]))
 
 
