@@ -75,8 +75,7 @@ def singles(expectation: Expectation, gate: float | None) -> IntArray:
     landmark are paired if each is the only one compatible with the other: d^2 < chi-square at `gate`, 2 dof.
     """
     compatible = expectation.individual_distances() < expectation.threshold(gate)
-    alone = compatible.sum(axis=1) == 1
-    pair = compatible & alone[:, None] & (compatible.sum(axis=0) == 1)[None, :]
+    pair = compatible & (compatible.sum(axis=1) == 1)[:, None] & (compatible.sum(axis=0) == 1)[None, :]
     decisions = np.full(len(pair), NEW, np.int64)
     observation, candidate = np.nonzero(pair)
     decisions[observation] = expectation.number[candidate]

@@ -105,11 +105,6 @@ class Systematic:
         """Whether one of them is the drift."""
         return "drift" in self.names
 
-    @property
-    def of_sensor(self) -> bool:
-        """Whether some of them are the sensor's."""
-        return "range" in self.names or "bearing" in self.names
-
 
 class Frame(NamedTuple):
     """All that is known of one instant when it arrives, from a log or a live robot."""
@@ -235,7 +230,7 @@ class LandmarkMap(Locked):
 
 def not_estimable(systematic: Systematic | None, known: LandmarkMap | None, sensor: Sensor) -> str | None:
     """Why these errors, and those of a map's landmarks, cannot be estimated with a sensor; None: they can be."""
-    if systematic is not None and systematic.of_sensor and not sensor.errors:
+    if systematic is not None and {"range", "bearing"} & set(systematic.names) and not sensor.errors:
         return "errors of range and bearing need a sensor of points; with walls only odometry's errors can be estimated"
     beside_range = systematic is not None and "range" in systematic.names
     if known is not None and known.sigma is not None and (beside_range or not sensor.errors):

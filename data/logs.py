@@ -107,11 +107,6 @@ def _opened(name: str, reading: Reading, say: Callable[[str], None]) -> Log:
     raise UsageError(f"{name}: no such log or folder{hint}")
 
 
-def is_world(name: str) -> bool:
-    """Whether a name is that of a world, not of a file."""
-    return name == "victoria-park" or registry.is_simulated(name)
-
-
 def unknown_world(name: str) -> str:
     """The hint of a message about a name that is neither a file nor a world."""
     return meant(name, ["victoria-park", *registry.SIMULATORS, *(f"{world}:0" for world in registry.SIMULATORS)])

@@ -137,11 +137,6 @@ def wings() -> tuple[Wing, ...]:
     return tuple(found)
 
 
-def template_folders() -> list[str]:
-    """Folders `templates` of wings, for words of the report."""
-    return [str(resources.files(wing.templates) / "templates") for wing in wings() if wing.templates]
-
-
 def of_all(table: str) -> list[Any]:
     """The functions that a table of all wings names."""
     return [used(text) for wing in wings() for text in getattr(wing, table)]

@@ -128,7 +128,7 @@ class Filter:
 
     def look(self, sensor: Sensor) -> None:
         """Expect and use observations of this sensor from now on. ValueError beside errors of the sensor."""
-        if self._systematic is not None and self._systematic.of_sensor:
+        if self._systematic is not None and {"range", "bearing"} & set(self._systematic.names):
             raise ValueError("systematic errors of range or bearing belong to one sensor; this log has several")
         self.sensor = self._frame.sensor(sensor)
         self._kind, self._extrinsic = self.sensor.kind, self.sensor.extrinsic
@@ -187,7 +187,7 @@ class Filter:
                 poses = (at < 3) | (at >= self.base)  # errors have no first estimates
                 linearized[poses] = self._first[at[poses]]
             gated, state = gate_threshold(gate, len(m.rows)), (self._mean, self._P, self._used)
-            rule = updates.UpdateRule(gated, *self._rule, self._first, *self._clone_range)
+            rule = updates.UpdateRule(gated, *self._rule, self._first, self.size, self.size + self.kept)
             status, _ = pose_updates.absorb(*state, at, m, rule, done, i, linearized)
             if status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[status])
@@ -197,11 +197,6 @@ class Filter:
     def kept(self) -> int:
         """Number of states that are poses of earlier frames."""
         return 3 * len(self._clones.frames)
-
-    @property
-    def _clone_range(self) -> tuple[int, int]:
-        """Offsets where the kept poses begin and end."""
-        return self.size, self.size + self.kept
 
     def inflate(self, covariance: Array) -> None:
         """Add covariance (3, 3), world frame, to the pose's after an unreliable motion."""
@@ -307,7 +302,7 @@ class Filter:
         status = updates.of_frame(
             self._kind, self._extrinsic, start, self._mean, self._P, self._used,
             at, known, np.array(observations.z), np.array(observations.R), decisions,
-            threshold, *self._rule, self._first, *self._clone_range,
+            threshold, *self._rule, self._first, self.size, self.size + self.kept,
             used, white, created, stats,
         )  # fmt: skip
         if status != kernels.OK:

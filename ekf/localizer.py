@@ -70,7 +70,7 @@ class EkfLocalizer(Filter):
         P, a = self._P, self._errors.range_at
         radius = gate_radius(self.sensor, P[:3, :3], observations, self.within)
         if self.map.sigma is not None and math.isfinite(radius):
-            moved = self._states - self.map.xy[self._slot >= 0]
+            moved = self._mean[self._at].reshape(-1, 2) - self.map.xy[self._slot >= 0]
             radius += math.sqrt(self.within) * float(np.hypot(*self._sigma.T).max())
             radius += float(np.hypot(*moved.T).max(initial=0.0))
         if a < 0 or not math.isfinite(radius):
@@ -81,11 +81,6 @@ class EkfLocalizer(Filter):
         centre = self._frame.points_out(self._mean[None, :2], self._mean[3 : self.base])[0][0]
         swing = math.hypot(*(centre - self._errors.origin)) * sigmas
         return centre, (radius + swing) / (size - sigmas) if size > sigmas else math.inf
-
-    @property
-    def _states(self) -> Array:
-        """Means (n, 2) of the landmarks that are states, in the order of the map."""
-        return self._mean[self._at].reshape(-1, 2)
 
     @property
     def _at(self) -> IntArray:
@@ -180,7 +175,7 @@ class EkfLocalizer(Filter):
         """The map, without covariance where it is exact; landmarks that were used are where they are estimated."""
         at = self._at.reshape(-1, 2)
         blocks = self._P[at[:, :, None], at[:, None, :]]
-        return map_with(self.map, MapState(self.map.id[self._slot >= 0], self._states, blocks))
+        return map_with(self.map, MapState(self.map.id[self._slot >= 0], self._mean[self._at].reshape(-1, 2), blocks))
 
     def finish(self) -> Finished:
         """No smoothed path; the map as estimated, if it is uncertain."""

@@ -312,7 +312,7 @@ class EkfSlam(Filter):
             raise FilterDivergedError(kernels.FAILURES[kernels.NOT_PSD]) from None
         white = np.asarray(np.linalg.solve(L, rest), np.float64)
         V = np.ascontiguousarray(np.linalg.solve(L, H @ rows))
-        status = correct_all(mean, P, d + 2, V, white, self._rule[0], *self._clone_range)
+        status = correct_all(mean, P, d + 2, V, white, self._rule[0], self.size, self.size + self.kept)
         if status != kernels.OK:
             raise FilterDivergedError(kernels.FAILURES[status])
         nis, dof = float(white @ white), sum(len(s.measures) for s in sensors) - 2

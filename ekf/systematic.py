@@ -38,15 +38,11 @@ class WallFrame(SensorFrame):
 
     def poses_out(self, pose: Array, errors: Array) -> tuple[Array, Array]:
         """Poses (n, 3) in the world and their Jacobians (n, 3, 3 + p) to pose and errors (n, p)."""
-        return pose + self._shift, np.tile(np.eye(3, 3 + errors.shape[1]), (len(pose), 1, 1))
+        return pose + np.append(self.origin, 0.0), np.tile(np.eye(3, 3 + errors.shape[1]), (len(pose), 1, 1))
 
     def poses_in(self, pose: Array, errors: Array) -> Array:
         """Poses (n, 3) in this frame."""
-        return pose - self._shift
-
-    @property
-    def _shift(self) -> Array:
-        return np.array([self.origin[0], self.origin[1], 0.0])
+        return pose - np.append(self.origin, 0.0)
 
     def points_out(self, xy: Array, errors: Array) -> tuple[Array, float, Array]:
         """Walls (n, 2) about the world's origin, alpha wrapped; scale 1, and zero Jacobians to the errors (p,)."""

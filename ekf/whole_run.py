@@ -294,8 +294,7 @@ def plan(decisions: IntArray, start: IntArray) -> Plan:
     """
     number, frames = landmark_numbers(decisions), len(start) - 1
     created = np.concatenate([[0], np.cumsum(decisions == NEW)])[start]
-    paired = np.diff(np.concatenate([[0], np.cumsum(decisions >= 0)])[start])
-    step = STEP + PAIRING * paired
+    step = STEP + PAIRING * np.diff(np.concatenate([[0], np.cumsum(decisions >= 0)])[start])
     best = Plan([], math.inf, float((step * (3.0 + 2.0 * created[1:]) ** 2).sum()))
     for length in (1 << k for k in range(frames.bit_length() + 1)):
         epochs, seconds = list[Epoch](), 0.0

@@ -101,11 +101,6 @@ def _far_closures(inputs: Inputs, pose: Array, rejected: BoolArray | None) -> Bo
     return None if not far.any() else far if rejected is None else far | rejected
 
 
-def landmark_starts(known: LandmarkMap | None) -> Array:
-    """Start (L, 2) of the landmarks of an uncertain map, by row; none without one."""
-    return known.xy.copy() if known is not None and known.sigma is not None else np.zeros((0, 2))
-
-
 def build(
     inputs: Inputs, decisions: IntArray, created: IntArray, loss: str = "gaussian", rejected: Rejected = NONE_REJECTED
 ) -> Problem:
@@ -327,6 +322,7 @@ def gnc(
     graduated = Graduated(problem)
     dims = [s.dims for s in problem.observations] + [len(p.entries) for p in problem.pose_factors]
     threshold = np.array([gate_threshold(probability, d) for d in dims], float)
+    closure = np.array([p.closure for p in problem.pose_factors], np.bool_)
     used = np.flatnonzero(np.where(created >= 0, created, decisions) >= 0)
     if problem.motion.names:
         # with wrong errors, right pairings would be rejected
@@ -339,7 +335,9 @@ def gnc(
         accepted = np.zeros(len(decisions), np.bool_)
         accepted[used[believed[: len(used)]]] = True
         kept = np.where(accepted, decisions, DISCARD), np.where(accepted, created, -1)
-        result = smooth(inputs, *kept, start, rejected=_rejected(problem, ~believed[len(used) :]))
+        fixes, closures = (~believed[len(used) :][rows] for rows in (~closure, closure))
+        rejected = Rejected(fixes if len(fixes) else None, closures if len(closures) else None)
+        result = smooth(inputs, *kept, start, rejected=rejected)
         start = end_of(result, start.landmark, inputs.map)
         square = graduated.at(problem.values(start)).square
         if result.map is not None and not problem.priors:
@@ -362,10 +360,3 @@ def _truncated(result: Smoothed, dims: Array, probability: float) -> Smoothed:
     mean, variance = (each.sum(axis=0) / max(int(dims.sum()), 1)).tolist()
     fixes, closures = (None if of is None else of._replace(gate=probability) for of in (result.fixes, result.closures))
     return replace(result, gated=(mean, variance) if len(dims) else None, fixes=fixes, closures=closures)
-
-
-def _rejected(problem: Problem, out: BoolArray) -> Rejected:
-    """Of fixes and closures (k,) in the order of the problem."""
-    closure = np.array([p.closure for p in problem.pose_factors], np.bool_)
-    fixes, closures = out[~closure], out[closure]
-    return Rejected(fixes if len(fixes) else None, closures if len(closures) else None)

@@ -53,8 +53,7 @@ def knot_factor(errors: Errors, knot: int, ended: float) -> factors.Factor:
 def first_factors(errors: Errors, prior: Prior) -> tuple[list[factors.Factor], gtsam.Values]:
     """The prior of the first pose and the errors, with start values; `prior` is the robot's, in its own frame."""
     values = errors.zero(errors.keys(0))
-    size = errors.sizes
-    sizes = zip(errors.keys(0), size.values(), strict=True)
+    sizes = zip(errors.keys(0), errors.sizes.values(), strict=True)
     alone = [gtsam.PriorFactorVector(key, np.zeros(n), factors.noise.Unit.Create(n)) for key, n in sizes]
     sigma = errors.sigma
     mean, P = errors.frame.prior_in(prior, sigma)
@@ -120,13 +119,6 @@ def increment_factor(
         return np.asarray(found[0] + J @ (at - about))
 
     return gtsam.CustomFactor(UNIT[3], keys, residual)
-
-
-def transport(displacement: Array) -> Array:
-    """Jacobian of a pose to an earlier one, world frame, for the displacement (3,) between them."""
-    F = np.eye(3)
-    F[0, 2], F[1, 2] = -displacement[1], displacement[0]
-    return F
 
 
 RELINEARIZE = 0.2

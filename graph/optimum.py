@@ -40,11 +40,6 @@ UNCHECKED = 1e-9  # least share of a measurement that the others must say as wel
 LEAST_WEIGHT = 1e-12  # of a robust loss
 
 
-def pairs_of(factors: Sequence[PoseFactor]) -> IntArray:
-    """Frames (q, 2) of the closures among them."""
-    return np.array([p.frames for p in factors if p.closure], np.int64).reshape(-1, 2)
-
-
 def innovations(
     factors: Sequence[PoseFactor], rows: Rows, blocks: IntArray, covariance: Array, across: Array, loss: str
 ) -> tuple[PoseUpdated | None, PoseUpdated | None]:
@@ -310,7 +305,7 @@ def _smoothed(
 ) -> Smoothed:
     """The end of a search with covariances. Raises `NotConvergedError` if it is no optimum."""
     n = linearizer.frames
-    ties = pairs_of(problem.pose_factors)
+    ties = np.array([p.frames for p in problem.pose_factors if p.closure], np.int64).reshape(-1, 2)
     blocks = n + np.arange(len(problem.observations) if with_shares else 0)
     seen = found.rows.variable[blocks, :2]
     pairs = np.concatenate([ties, seen])

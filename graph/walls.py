@@ -176,8 +176,7 @@ def wall_factors(
         point = None if np.hypot(*body) < CENTRED else (point_key(first_row + i), at)
         # 1 where the normal that was measured is the opposite of the landmark's
         turn = math.remainder(alpha[n] - pose[i, 2] + sensor.rotation - float(z[1]), math.tau)
-        name = int(abs(turn) > 0.5 * math.pi)
-        s = made(f, n, L(n), [], z=z, R=R, name=name, point=point, wall=wall)
+        s = made(f, n, L(n), [], z=z, R=R, name=int(abs(turn) > 0.5 * math.pi), point=point, wall=wall)
         result.append(replace(s, measured=_slam_factors(s, first_row + i) + own))
     return result
 

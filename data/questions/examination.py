@@ -430,8 +430,7 @@ def _headings(x: Examination, *, explained: bool) -> list[Explained]:
     c, witness = x.case, witnesses.BY_TRUTH
     if c.truth is None or np.ptp(c.odometry[:, 2]) < 1.0 or len(fits := x.said[witness]) < 2 or fits[1] is None:
         return []
-    heading = c.truth[np.isfinite(c.truth).all(axis=1), 2]
-    if np.ptp(np.cos(heading)) <= SAME:
+    if np.ptp(np.cos(c.truth[np.isfinite(c.truth).all(axis=1), 2])) <= SAME:
         return _told(Kind.STILL, "truth.theta", witness, fits[1].off)
     i, j = x.samples.spans[0]
     a, b = (np.hypot(*(p[j, :2] - p[i, :2]).T) for p in (c.truth, c.odometry))

@@ -128,10 +128,9 @@ class Corridor(parameters.Imperfect):
     sa_people: float = 0.01
 
     def __post_init__(self) -> None:
+        positive = ("frames", "crowd", "range", "srho", "sphi")
         signed = ("min_angle", "max_angle", "step_mean", "velocity")
-        parameters.check_parameters(
-            "corridor", self, positive=("frames", "crowd", "range", "srho", "sphi"), signed=signed
-        )
+        parameters.check_parameters("corridor", self, positive=positive, signed=signed)
         known = {f.name: f for f in fields(self)}
         for names, used, why in self._uses():
             for f in (known[name] for name in names if not used):

@@ -177,8 +177,7 @@ def localization_log(frames: int) -> Inputs:
     inputs = simulate(Arena(frames=frames, landmarks=40, field_of_view=2 * math.pi), 0).inputs(labels=True)
     o = inputs.observations
     assert isinstance(o, LabelledObservations)
-    rank = np.arange(len(o.frame)) - inputs.start[o.frame]
-    first = rank < 3
+    first = (np.arange(len(o.frame)) - inputs.start[o.frame]) < 3
     return replace(inputs, observations=LabelledObservations(o.frame[first], o.z[first], o.R[first], o.label[first]))
 
 

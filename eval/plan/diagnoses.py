@@ -108,8 +108,7 @@ def _with_twins(
     def own(i: int) -> list[Sample]:
         return [kept[i, seed] for seed in seeds if (i, seed) in kept]
 
-    looks = [*range(FEWEST, count - LOOK + 1, LOOK), count]
-    for before, upto in pairwise([0, *looks]):
+    for before, upto in pairwise([0, *range(FEWEST, count - LOOK + 1, LOOK), count]):
         jobs = [
             (Job((i, seed), one_twin, (source, seed)), folder / f"{seed}.json")
             for i, (source, folder) in sources.items() if not (before and settled(real[i][1], own(i), slopes[i]))

@@ -75,5 +75,4 @@ def _near(m: MapEstimate, variance: Array) -> IntArray:
     rows = known[np.unique(np.sort(np.stack([first, second], axis=1)[first != second], axis=1), axis=0)]
     i, j = rows.T
     S = m.covariance[i] + m.covariance[j] + np.maximum(variance[i], variance[j])[:, None, None] * np.eye(2)
-    d = m.xy[i] - m.xy[j]
-    return np.asarray(rows[squared_errors(d, S) < threshold])
+    return np.asarray(rows[squared_errors(m.xy[i] - m.xy[j], S) < threshold])

@@ -94,8 +94,7 @@ def family_p(real: Array, twins: Array) -> Array:
     order = np.argsort(-own, kind="stable")
     # largest of this statistic and of all after it
     rest = np.maximum.accumulate(others[:, order[::-1]], axis=1)[:, ::-1]
-    p = (1 + np.sum(rest >= own[order], axis=0)) / (n + 1)
-    result[known[order]] = np.maximum.accumulate(p)
+    result[known[order]] = np.maximum.accumulate((1 + np.sum(rest >= own[order], axis=0)) / (n + 1))
     return result
 
 

@@ -97,8 +97,7 @@ def independent_frames(series: Array) -> float:
     Science 1992, section 3.3).
     """
     n = len(series)
-    spectrum = np.abs(np.fft.rfft(series - series.mean(), 2 * n)) ** 2
-    covariance = np.fft.irfft(spectrum)[: n - n % 2]
+    covariance = np.fft.irfft(np.abs(np.fft.rfft(series - series.mean(), 2 * n)) ** 2)[: n - n % 2]
     pairs = covariance[::2] + covariance[1::2]
     end = int(np.argmax(pairs <= 0.0)) if (pairs <= 0.0).any() else len(pairs)
     sums = float(np.minimum.accumulate(pairs[:end]).sum()) / covariance[0]

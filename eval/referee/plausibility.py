@@ -128,8 +128,7 @@ def _longest(covariance: Array) -> Array:
 
 def farthest_observed(inputs: Inputs) -> float:
     """Largest distance [m] of an observed landmark: the sensor's range, or the longest observed one, with a margin."""
-    ranges = inputs.measured()[:, 0]
-    if inputs.several_or_partial and not ranges.all():
+    if inputs.several_or_partial and not inputs.measured()[:, 0].all():
         return math.inf  # bearings have no end
     longest = float(inputs.sensor_of().polar(inputs.observations.z)[:, 0].max(initial=0.0))
     most = max(s.max_range for s in inputs.sensors or (inputs.sensor,))

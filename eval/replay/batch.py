@@ -12,7 +12,7 @@ from data.notice import Code, notice, stopped
 from data.result import DISCARD, Failure, Run, Trajectory, map_estimate, map_with
 from data.se2 import Array, BoolArray
 from eval.replay.settings import ESTIMATOR_TABLE
-from graph.batch import PROBABILITY, Rejected, chordal_path, gnc, landmark_starts, smooth
+from graph.batch import PROBABILITY, Rejected, chordal_path, gnc, smooth
 from graph.factors import UnderConstrained
 from graph.optimum import STEP, NotConvergedError, Smoothed
 from graph.problem import Start
@@ -168,7 +168,7 @@ def start_at(inputs: Inputs, front: Run, initialized: IntArray) -> Start:
 def _places(inputs: Inputs, pose: Array, initialized: IntArray) -> Array:
     """Landmarks (L, 2) where they were initialized, seen from poses (N, 3), or in an uncertain map."""
     if inputs.map is not None:
-        return landmark_starts(inputs.map)
+        return inputs.map.xy.copy() if inputs.map.sigma is not None else np.zeros((0, 2))
     places, o = np.full((int(initialized.max(initial=-1)) + 1, 2), np.nan), inputs.observations
     for i in np.flatnonzero(initialized >= 0):
         sensor = inputs.sensor_at(int(i))

@@ -19,8 +19,7 @@ ERRORS = (
     "rms_from_batch_m",
 )  # fmt: skip
 COMPARISON: dict[str, str] = {
-    **heads((*NAMES, *ERRORS, "nees_pose", "nis")),
-    **heads(("nis_expected",)),
+    **heads((*NAMES, *ERRORS, "nees_pose", "nis", "nis_expected")),
     "bounds": "95 % bounds of NIS",
     **heads(("innovation_lag1", "inside_3sigma", "accepted", "rejected", "matched", "unmatched")),
 }  # fmt: skip
@@ -147,10 +146,9 @@ def parts(table: Table) -> list[Table]:
 
 
 def _same(values: pd.Series, others: pd.Series) -> bool:
-    pairs = zip(values.tolist(), others.tolist(), strict=True)
     return all(
         is_blank(a) == is_blank(b) and (is_blank(a) or abs(float(a) - float(b)) <= SAME * abs(float(b)))
-        for a, b in pairs
+        for a, b in zip(values.tolist(), others.tolist(), strict=True)
     )
 
 

@@ -144,19 +144,19 @@ def facts_of(trust: Trust, terms: causes.Terms) -> dict[str, Any]:
     blame = trust.blame
     found = () if blame is None else blame.findings
     return {
-        "log": trust.log,
-        "task": trust.task,
-        "association": trust.association,
-        "terms": terms,
+        "log": trust.log, "task": trust.task, "association": trust.association, "terms": terms,
         "twins": len(trust.twins),
         "judged": None if blame is None else _verdict(blame),  # by the battery; None: too few replicates
         "apart": tuple(_apart(trust, name) for name in causes.online(trust)),  # online paths against the smoothed one
         "findings": causes.explanations(found, terms),  # the weightiest first; main: those for a first page
         "main": causes.explanations(causes.main_findings(trust), terms),
-        "nees": _nees(trust),
+        "nees": tuple(  # mean of the pose by estimator and phase, over the replicates that have one
+            (*key, float(np.mean(known))) for key in dict.fromkeys(k for s in trust.twins for k in s.nees)
+            if (known := [v for s in trust.twins if math.isfinite(v := s.nees.get(key, math.nan))])
+        ),
         "deciding": _deciding(trust),  # what to expect of the association method
         "notices": trust.notices,
-    }
+    }  # fmt: skip
 
 
 def _apart(trust: Trust, name: str) -> dict[str, object]:
@@ -184,16 +184,6 @@ def _verdict(blame: Blame) -> dict[str, object]:
     p = blame.p if math.isfinite(blame.p) else None
     counts = {"objected": len(blame.objected), "tested": blame.tested, "unexplained": unexplained}
     return {"cause": blame.cause, "contradictions": blame.contradictions, "p": p, **counts}
-
-
-def _nees(trust: Trust) -> tuple[tuple[str, str, float], ...]:
-    """Mean pose NEES by estimator and phase, over the replicates that have one."""
-    found = []
-    for name, phase in dict.fromkeys(k for s in trust.twins for k in s.nees):
-        known = [v for s in trust.twins if math.isfinite(v := s.nees.get((name, phase), math.nan))]
-        if known:
-            found.append((name, phase, float(np.mean(known))))
-    return tuple(found)
 
 
 def _deciding(trust: Trust) -> tuple[dict[str, object], ...]:

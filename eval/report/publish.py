@@ -62,7 +62,10 @@ def publish(
     jobs: list[Job[tuple[int, int]]] = []
     for i, trial in enumerate(trials):
         others = variants(trial, trials)
-        drawn = not (output.no_plots or _shown_elsewhere(trial, trials))
+        # pictures of its trial show a variant on the very recording or images
+        hosts, log = [t.log for t in trials if trial in variants(t, trials)], trial.log
+        seen = any(h.recorded is log.recorded or (h.evidence is not None and h.evidence is log.evidence) for h in hosts)
+        drawn = not (output.no_plots or seen)
         wanted = (*output.show, "dead-reckoning")
         kept = tuple(r for r in trial.runs if r.estimator in wanted)
         shown = replace(trial, runs=kept) if output.show else trial
@@ -89,13 +92,6 @@ def publish(
             made[owner] = picture
         progress(done, len(jobs))
     return [[made[owner] for owner in sorted(made) if owner[0] == i] for i in range(len(trials))]
-
-
-def _shown_elsewhere(trial: Trial, trials: Sequence[Trial]) -> bool:
-    """Whether a variant is on the very recording or images of its trial, whose pictures show it."""
-    log = trial.log
-    hosts = [t.log for t in trials if trial in variants(t, trials)]
-    return any(h.recorded is log.recorded or (h.evidence is not None and h.evidence is log.evidence) for h in hosts)
 
 
 def publish_runs(folder: Path, output: Output, trial: Trial) -> None:

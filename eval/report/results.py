@@ -18,12 +18,13 @@ from data.formats.results.reading import read_path
 from data.formats.results.space import ignored
 from data.formats.results.tables import Companions
 from data.log import Log
-from data.logs import Reading, is_world, open_scored, unknown_world
+from data.logs import Reading, open_scored, unknown_world
 from data.notice import Code, Notice, Severity, notice
 from data.questions.asked import assumed_noise, truth_windows
 from data.se2 import Array, wrap_angle
 from data.truth_windows import scored as screened
 from data.words import sentence
+from data.worlds import registry
 from eval.plan.flags.table import Output, Scoring
 from eval.plan.results import TRUTH, Result, manner_of, offset_of, phase_of, runs_of, true_path, truth_of
 from eval.referee import consistency, errors, result_files
@@ -132,7 +133,7 @@ def _scored(file: str, truth: str, reading: Scoring) -> Scored:
     if is_bag(file_and_topic(truth)[0]) or file_and_word(path)[0].is_file():
         given = true_path(truth, [ESTIMATE], reading, rows=truth == file)
         log, asked = screened(truth_log(path.stem, given), excluded, keep=True), TruePath.of(given)
-    elif path.exists() or is_world(truth):
+    elif path.exists() or truth == "victoria-park" or registry.is_simulated(truth):
         log = open_scored(truth, Reading(exclude_truth=excluded, keep_truth=reading.keep_truth))
         asked = truth_of(log, None)
     else:

@@ -13,7 +13,7 @@ from jinja2 import ChoiceLoader, Environment, FileSystemLoader
 from data import words
 from data.notice import Notice, Severity
 from data.result import Failure
-from data.wing import template_folders
+from data.wing import wings
 from data.words import number, sentence, title
 from eval.figures.figure_style import tex_escape
 from eval.report.page.blocks import FinePrint
@@ -27,7 +27,7 @@ def environment() -> Environment:
     """The templates of the report, with more filters than notices need."""
     env = words.environment("eval.report")
     assert env.loader is not None
-    folders = [files("eval.figures") / "templates", *template_folders()]
+    folders = [files("eval.figures") / "templates", *(files(w.templates) / "templates" for w in wings() if w.templates)]
     env.loader = ChoiceLoader([env.loader, *(FileSystemLoader(str(folder)) for folder in folders)])
     env.globals["zip"] = zip
     filters = (interval, as_sentence, one_line, listed, plus_minus, sized, distance, six, tex)

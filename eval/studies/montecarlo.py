@@ -116,10 +116,9 @@ def sample(run: Run, phase: str, log: Log, scenario: Scenario) -> Sample:
     p = scenario.published
     found = run.errors_online if phase == "online" else run.errors_final
     position = errors.rms(errors.position_distance(t.pose, truth.pose)) ** 2
-    heading = math.radians(errors.heading_rmse_deg(t.pose, truth.pose)) ** 2
     return Sample(
         means, {q: float(v[-1]) for q, v in each.items()} | _errors(found, truth.errors),
-        {"position": position, "heading": heading},
+        {"position": position, "heading": math.radians(errors.heading_rmse_deg(t.pose, truth.pose)) ** 2},
         {q: p.average(v, len(QUANTITIES[q]), first) for q, v in each.items()} if p is not None else {},
         np.concatenate([np.full(min(first, len(t.pose)), np.nan), each["pose"][first:]]),
     )  # fmt: skip

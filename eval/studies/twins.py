@@ -77,8 +77,7 @@ def source_of(
     if smoother.errors_final is not None:
         less = corrected_inputs(log.recorded, smoother.errors_final)
         log = replace(log, recorded=replace(less, systematic=log.recorded.systematic))
-    known = any(mask is not None and mask.any() for mask in (used.number >= 0, used.fixes, used.closures))
-    if not known:
+    if not any(mask is not None and mask.any() for mask in (used.number >= 0, used.fixes, used.closures)):
         raise UsageError(f"no twins of {log.name}: batch used no observation, so nothing is known beside the odometry")
     landmarks = LandmarkMap(used.identity, used.landmarks)
     row = np.where(used.number >= 0, used.number, _gated(inputs, smoother.final.pose, used))
@@ -108,8 +107,7 @@ def _gated(inputs: Inputs, path: Array, used: residuals.Used) -> IntArray:
 def twin(source: Source, seed: int) -> Log:
     """A twin: same frames, same landmarks seen, everything else drawn. Same seed, same bytes."""
     r = source.log.recorded
-    streams = np.random.SeedSequence([seed, STREAM]).spawn(6)
-    rngs = (np.random.default_rng(s) for s in streams)
+    rngs = (np.random.default_rng(s) for s in np.random.SeedSequence([seed, STREAM]).spawn(6))
     prior_rng, odometry_rng, sensor_rng, pose_rng, looks_rng, map_rng = rngs
     path = source.path
     mean = path[0] + _root(r.prior.covariance[None])[0] @ prior_rng.standard_normal(3)

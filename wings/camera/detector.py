@@ -70,7 +70,9 @@ def extract(rgb: Image, limit: int, *, fine_share: float = 1.0) -> Features:
     fine = np.array([p.octave & 255 for p in points]) == 255  # octave -1
     order = np.lexsort((place[:, 1], place[:, 0], -response))
     order = order[~fine[order] | (np.cumsum(fine[order]) <= fine_share * limit)][:limit]
-    return Features(place[order], scale[order], root_sift(descriptor[order]))
+    descriptor = descriptor[order]  # RootSIFT, rounded to whole numbers at length `UNIT`
+    total = np.maximum(descriptor.sum(axis=1, keepdims=True, dtype=np.float64), 1.0)
+    return Features(place[order], scale[order], np.rint(UNIT * np.sqrt(descriptor / total)).astype(np.float32))
 
 
 def join(first: Features, second: Features) -> Features:
@@ -88,12 +90,6 @@ def squeezed_view(rgb: Image, limit: int) -> Features:
     place = view.place.copy()
     place[:, 0] = (place[:, 0] + 0.5) * (w / width) - 0.5
     return Features(place, view.scale * np.sqrt(w / width), view.descriptor)  # the blob covers w / width times the area
-
-
-def root_sift(descriptor: Any) -> Descriptors:
-    """RootSIFT of SIFT descriptors (n, 128), rounded to whole numbers at length `UNIT`."""
-    total = descriptor.sum(axis=1, keepdims=True, dtype=np.float64)
-    return np.asarray(np.rint(UNIT * np.sqrt(descriptor / np.maximum(total, 1.0))), np.float32)
 
 
 def match(scene: Features, references: list[Features]) -> list[tuple[Indices, Indices]]:

@@ -43,28 +43,22 @@ def experiments(
         assert isinstance(given, TeamInputs)
         for exchange in EXCHANGES:
             inputs = replace(given, exchange=exchange)
+            once = [e for e in asked.estimator if e != "dead-reckoning" or exchange == "joint"]
             own = log.name if exchange == "joint" else f"{log.name}:{exchange}"
             variant = {} if exchange == "joint" else {"variant_of": log.name, "about": ABOUT[exchange]}
             for task in asked.task or (default_task(log),):
-                works = [Work(m, _able(asked.estimator, task, m, exchange)) for m in methods]
-                work = tuple(w for w in works if w.estimators)
-                if exchange == "joint" and not any(set(w.estimators) & {*ESTIMATORS["joint"]} for w in works):
-                    raise UsageError(f"--cooperative: {_why(asked.estimator, task, methods)}")
+                works = [
+                    (m, [e for e in once if exchange == "alone" or not lack(e, task, m, exchange)]) for m in methods
+                ]
+                work = tuple(Work(m, tuple(able)) for m, able in works if able)
+                if exchange == "joint" and not any(set(able) & {*ESTIMATORS["joint"]} for _, able in works):
+                    lacks = (lack(e, task, m, "joint") for e in asked.estimator for m in methods)
+                    why = next(filter(None, lacks), "an estimator is needed, ekf or batch")
+                    raise UsageError(f"--cooperative: {why}")
                 if work:
                     here = replace(log, name=own, recorded=inputs)
                     made.append(Experiment(here, task, work, setup.settled(log.labels_are_sensed), **variant))
     return made
-
-
-def _able(estimators: tuple[str, ...], task: str, method: str, exchange: str) -> tuple[str, ...]:
-    """Those that can do it; dead reckoning once, with the joint exchange."""
-    able = (e for e in estimators if exchange == "alone" or not lack(e, task, method, exchange))
-    return tuple(e for e in able if e != "dead-reckoning" or exchange == "joint")
-
-
-def _why(estimators: tuple[str, ...], task: str, methods: tuple[str, ...]) -> str:
-    lacks = (lack(e, task, m, "joint") for e in estimators for m in methods)
-    return next(filter(None, lacks), "an estimator is needed, ekf or batch")
 
 
 def named_team(name: str) -> list[Log]:

@@ -195,7 +195,6 @@ def _map_handles(shown: Sequence[Shown]) -> list[Line2D]:
     def mark(marker: str, colour: str, label: str, **look: Any) -> Line2D:
         return Line2D([], [], marker=marker, color=colour, linestyle="none", label=label, **look)
 
-    removed = any(len(removed_places(s)) for s in shown)
     return [
         Line2D([], [], color=TRUE_PATH, linewidth=1.0, label="true path"),
         Line2D([], [], color=grey, linewidth=1.2, label="estimated path (colour of the method)"),
@@ -203,7 +202,7 @@ def _map_handles(shown: Sequence[Shown]) -> list[Line2D]:
         mark("+", FAINT, "true point"),
         mark(".", grey, "landmark"),
         mark("s", BAD, "initialized on a person", markerfacecolor="none"),
-        *([mark("x", "#808080", "removed")] if removed else []),
+        *([mark("x", "#808080", "removed")] if any(len(removed_places(s)) for s in shown) else []),
     ]
 
 
@@ -590,12 +589,11 @@ def _people(both: dict[str, tuple[Judged | None, Judged | None]]) -> dict[str, A
 
 def _joint(jcbb: Judged | None, nn: Judged | None, singles: Judged | None, known: Judged | None) -> dict[str, Any]:
     """`better`: whether JCBB decides and estimates better than NN; `close`: about as well as with labels."""
-    lack = jcbb is None or nn is None
     return {
         "jcbb": jcbb, "nn": nn, "singles": singles, "known": known,
         "runs": tuple(r for r in (jcbb, nn, singles, known) if r is not None),
         "better": jcbb is not None and nn is not None and jcbb.p.wrong < nn.p.wrong and jcbb.rmse < nn.rmse,
-        "close": None not in (jcbb, known) and not worse(jcbb, known), "lack": lack,
+        "close": None not in (jcbb, known) and not worse(jcbb, known), "lack": jcbb is None or nn is None,
     }  # fmt: skip
 
 

@@ -17,7 +17,6 @@ from data.se2 import Array, compose, world_from_body
 from graph.engine import Engine, Window
 from graph.factors import Factor, is_exact, noise, pose2, prior_factor, relative_factors, root_information
 from graph.incremental import DELICATE
-from graph.open_end import transport
 from graph.optimum import in_world
 
 THRESHOLD = 0.05  # m, rad. Relinearize what moved further than this, ...
@@ -125,7 +124,8 @@ class FixedLagPoseGraph(PoseGraph):
         for i in np.flatnonzero(~inside):
             place, P = self._left[key1[i]]
             there = compose(place, relative[i])
-            F, B = transport(there - place), world_from_body(place[2])
+            F, B = np.eye(3), world_from_body(place[2])
+            F[:2, 2] = place[1] - there[1], there[0] - place[0]
             P = F @ P @ F.T + B @ covariance[i] @ B.T
             T = world_from_body(there[2])
             model = noise.Gaussian.SqrtInformation(root_information((T.T @ P @ T)[None])[0][0])

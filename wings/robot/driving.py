@@ -9,10 +9,10 @@ from collections import deque
 
 import numpy as np
 
-from data.se2 import Array, wrap_angle
+from data.se2 import Array, between, compose, wrap_angle
 from wings.robot.packets import AHEAD, RADIUS, RIGHT, SONARS
 from wings.robot.traffic import Packet
-from wings.robot.walls import FITS, SIGMA, USUAL_FIT, sensor_poses, visible
+from wings.robot.walls import FITS, SIGMA, USUAL_FIT, visible
 
 SPEED = 0.22  # m/s along a wall: 5.5 cm per packet, two rounds of a 10 x 6 m room in five minutes
 WANTED = 0.45  # m from the robot's centre to the wall: half of the narrowest gap (`room.GAP`)
@@ -92,7 +92,8 @@ class WallFollower:
 
     def _wall(self) -> tuple[float, float] | None:
         """Nearest wall on the right as (rho [m], alpha [rad]), fitted to one sonar's last readings."""
-        sensors, ranges = sensor_poses(np.array(self._odometry)), np.array(self._ranges)
+        odometry, ranges = np.array(self._odometry), np.array(self._ranges)
+        sensors = compose(between(odometry[-1], odometry)[:, None], SONARS)
         lines = []
         for row in BESIDE_ROWS:
             seen = ranges[:, row] < FARTHEST

@@ -105,11 +105,6 @@ def room_ahead(packet: Packet) -> float:
     return float((x[lane] - np.sqrt(RADIUS**2 - y[lane] ** 2)).min(initial=np.inf))
 
 
-def frontier(free: BoolArray, unknown: BoolArray) -> BoolArray:
-    """Free cells (H, W) beside unknown areas of at least `GAP`, in rows as wide as the robot: walls have holes."""
-    return _large(np.asarray(free & ndimage.binary_dilation(_large(unknown, GAP / CELL**2), AROUND)), 2.0 * ROOM / CELL)
-
-
 def _large(cells: BoolArray, least: float) -> BoolArray:
     """Cells (H, W) in connected areas of at least `least` cells."""
     label, count = ndimage.label(cells, AROUND)
@@ -127,7 +122,9 @@ def path_to_frontier(grid: Grid, start: Array, given_up: Array) -> Array:
     half the room from walls only where no other path is, as an error of the map may enclose the robot.
     """
     free = grid.log_odds < 0.0
-    seen = frontier(free, grid.log_odds == 0.0)
+    # free cells beside unknown areas of at least `GAP`, in rows as wide as the robot: walls have holes
+    unknown = _large(grid.log_odds == 0.0, GAP / CELL**2)
+    seen = _large(np.asarray(free & ndimage.binary_dilation(unknown, AROUND)), 2.0 * ROOM / CELL)
     beside = ndimage.binary_dilation(seen, AROUND, math.ceil(ROOM / CELL), mask=free)  # not through walls
     row, column = np.floor((start - grid.origin)[::-1] / grid.resolution).astype(int)
     near = np.zeros_like(seen)

@@ -142,7 +142,9 @@ class WallObserver:
         ranges = np.array([r.distance for r in readings])
         line = self._fit(sensors, ranges, self._sigma)
         w, total = line.weights, float(line.weights.sum())
-        if w.mean() < GOOD or total < FEWEST - 1 or not visible(line, sensors) or not _crossed(line, sensors):
+        way = sensors[-1, :2] - sensors[0, :2]
+        across = abs(way @ (math.cos(line.alpha), math.sin(line.alpha))) <= math.cos(ACROSS) * math.hypot(*way.tolist())
+        if w.mean() < GOOD or total < FEWEST - 1 or not visible(line, sensors) or not across:
             return None
         if float(w @ line.residuals**2) > total * (RESIDUAL * self._sigma) ** 2:
             return None
@@ -158,13 +160,6 @@ class WallObserver:
         packets = np.array([r.packet for r in readings]) - self._first
         points = echo_points(sensors, ranges, line.alpha)
         return line._replace(cov=sonar + _of_odometry(odometry, packets, points, line.alpha, gain, self._slip))
-
-
-def _crossed(line: Line, sensors: Array) -> bool:
-    """Whether the sonars (N, 3) moved across the line's normal."""
-    way = sensors[-1, :2] - sensors[0, :2]
-    along = abs(way @ (math.cos(line.alpha), math.sin(line.alpha)))
-    return bool(along <= math.cos(ACROSS) * math.hypot(way[0], way[1]))
 
 
 def _wheel_ways(odometry: Array) -> Array:

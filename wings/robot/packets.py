@@ -54,11 +54,6 @@ FASTEST = FASTEST_WHEEL  # m/s of the body
 FASTEST_TURN = 2.0 * FASTEST_WHEEL / WHEEL_BASE  # rad/s, with the wheels at full speed in opposite directions
 
 
-def wheel_speeds(v: float, omega: float) -> tuple[float, float]:
-    """Speeds of the left and the right wheel [m/s] for a body speed v [m/s] and turn rate omega [rad/s]."""
-    return v - 0.5 * WHEEL_BASE * omega, v + 0.5 * WHEEL_BASE * omega
-
-
 PERIOD = 0.25  # s between commands
 ANSWER_TIMEOUT = 0.25  # s to wait for an answer
 WATCHDOG = 1.0  # s without a command after which the robot stops itself
@@ -139,25 +134,17 @@ def next_frame(pending: bytearray, sizes: Mapping[bytes, int]) -> tuple[int, byt
     After a false marker one byte is, so an intact frame behind a damaged one is found.
     """
     first = next(iter(sizes))[:1]
-    at = 0
-    while True:
-        at = pending.find(first, at)
-        if at < 0:
-            return len(pending), b"", None
-        if at + 1 == len(pending):
+    at = pending.find(first)
+    while at >= 0:
+        begin = at + len(MARKER)
+        marker = bytes(pending[at:begin])
+        end = begin + sizes.get(marker, 0)
+        if at + 1 == len(pending) or (marker in sizes and len(pending) < end + 2):
             return at, b"", None
-        marker = bytes(pending[at : at + len(MARKER)])
-        size = sizes.get(marker)
-        if size is None:
-            at += 1
-            continue
-        if len(pending) < at + size + FRAME_BYTES:
-            return at, b"", None
-        content = bytes(pending[at + len(MARKER) : at + len(MARKER) + size])
-        end = at + len(MARKER) + size
-        if pending[end : end + 2] == checksum(content):
+        if marker in sizes and pending[end : end + 2] == checksum(content := bytes(pending[begin:end])):
             return end + 2, marker, content
-        at += 1
+        at = pending.find(first, at + 1)
+    return len(pending), b"", None
 
 
 TORN = "torn"

@@ -247,9 +247,9 @@ class Robot:
     def command(self, t: float, command: protocol.Command) -> None:
         """Obey from time t [s] on, within the limits of each wheel."""
         self.advance(t)
-        left, right = protocol.wheel_speeds(command.speed / 1000.0, command.turn / 1000.0)
+        v, turning = command.speed / 1000.0, 0.5 * protocol.WHEEL_BASE * (command.turn / 1000.0)
         most = protocol.FASTEST_WHEEL
-        self._wanted = tuple(min(max(speed, -most), most) for speed in (left, right))
+        self._wanted = tuple(min(max(speed, -most), most) for speed in (v - turning, v + turning))
         self._commanded = t
 
     def advance(self, t: float) -> None:

@@ -176,11 +176,6 @@ class Packet:
     scan: Scan | None = None
 
 
-def possible(answer: protocol.Answer) -> bool:
-    """Whether each distance lies between 0 and the timeout value; the pose may have any value."""
-    return min(answer.distances) >= 0 and max(answer.distances) <= protocol.TIMEOUT_MM
-
-
 def reachable(before: protocol.Answer, after: protocol.Answer, elapsed: float, *, held_up: bool = False) -> bool:
     """Whether the robot can have moved so within `elapsed` [s] and `SLACK`; less than a period counts as one (delayed
     answers come at once), `held_up` ones leave it the time until its watchdog stopped it.
@@ -193,9 +188,8 @@ def reachable(before: protocol.Answer, after: protocol.Answer, elapsed: float, *
 
 def moved(before: protocol.Answer, after: protocol.Answer) -> tuple[int, int, int]:
     """Differences of x, y [mm] and heading [mrad], across overflow."""
-    overflowed = protocol.overflowed
-    dx, dy, turn = after.x - before.x, after.y - before.y, after.heading - before.heading
-    return overflowed(dx), overflowed(dy), overflowed(turn)
+    dx, dy, turn = (protocol.overflowed(b - a) for a, b in zip(before[1:], after[1:], strict=True))
+    return dx, dy, turn
 
 
 class Unwrapper:
@@ -258,7 +252,7 @@ class Stream(ABC):
 
     def _judged(self, t: float, answer: protocol.Answer, scan: Scan | None = None) -> list[Packet]:
         """The packet of an answer with its scan and those that waited for it; none if it waits or is impossible."""
-        if not possible(answer):
+        if min(answer.distances) < 0 or max(answer.distances) > protocol.TIMEOUT_MM:  # the pose may have any value
             self.faults[GARBAGE] += 1
             return []
         row = [*self._refused, (t, answer)]
@@ -329,10 +323,8 @@ class Framed(Stream):
 
     def missing(self) -> int:
         """Bytes that complete the frame that has begun, or the shortest one."""
-        whole = (
-            self._sizes.get(bytes(self._bytes[: len(protocol.MARKER)]), protocol.ANSWER_BYTES) + protocol.FRAME_BYTES
-        )
-        return max(whole - len(self._bytes), 1)
+        size = self._sizes.get(bytes(self._bytes[: len(protocol.MARKER)]), protocol.ANSWER_BYTES)
+        return max(size + protocol.FRAME_BYTES - len(self._bytes), 1)
 
     def feed(self, t: float, data: bytes) -> list[Packet]:
         """See `Stream.feed`."""

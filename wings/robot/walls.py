@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data.se2 import Array, between, compose, wrap_angle
-from wings.robot.packets import CONE_HALF_ANGLE, SONARS
+from data.se2 import Array, wrap_angle
+from wings.robot.packets import CONE_HALF_ANGLE
 
 SIGMA = 0.005  # m, standard deviation of a distance, as of the simulated sonars (`wings.robot.simulated`)
 MIRROR = math.radians(15.0)
@@ -39,11 +39,6 @@ class Line(NamedTuple):
     cov: Array  # (2, 2) covariance of rho and alpha [m, rad]
     weights: Array  # (N,) of the readings, 0 to 1
     residuals: Array  # (N,) m, signed distances of the echoes from the line, positive beyond it
-
-
-def sensor_poses(odometry: Array) -> Array:
-    """Poses (F, 8, 3) of the sonars for body poses (F, 3), in the last body frame."""
-    return compose(between(odometry[-1], odometry)[:, None], SONARS)
 
 
 def echo_points(sensors: Array, ranges: Array, alpha: float | Array) -> Array:

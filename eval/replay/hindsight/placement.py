@@ -40,11 +40,10 @@ def candidates(e: Expectation, sensor: Sensor, motion: Array) -> list[tuple[floa
     every = np.arange(len(there))
     variance = np.trace(R, axis1=1, axis2=2)
     surest = np.sort(np.argsort(variance, kind="stable")[: constants.FRAME_POINTS])
-    information = np.asarray(np.linalg.inv(motion), np.float64)
     pairings, d2, count = _poses(
         seen, np.sqrt(variance), distance_sigmas(seen, block_diagonal(R)), surest,
         there, distance_sigmas(there, block_diagonal(G) @ e.joint(every) @ block_diagonal(G).T),
-        information, gate_threshold(constants.MOTION_GATE, 3),
+        np.asarray(np.linalg.inv(motion), np.float64), gate_threshold(constants.MOTION_GATE, 3),
         constants.DISTANCE_SIGMAS, constants.LONG_PAIR, constants.PLACE_PAIRINGS, constants.FRAME_POSES,
     )  # fmt: skip
     kept: list[tuple[float, IntArray]] = []

@@ -252,8 +252,7 @@ def stereo_points(
     if g.disparity_step > 0:
         step = np.float32(g.disparity_step)
         disparity = step * np.rint(disparity / step)
-    lost = _lost(g, rgb, outlines, holes) | (disparity <= 0)
-    disparity[lost] = np.nan
+    disparity[_lost(g, rgb, outlines, holes) | (disparity <= 0)] = np.nan
     h, w = depth.shape
     xyz = np.empty((h, w, 3), np.float32)
     z = np.float32(g.focal * g.baseline) / disparity

@@ -214,7 +214,7 @@ class ScanSlam:
         self._prior, self._graph = prior, PoseGraph(prior)
         self._beams, self._nothing = beams_of(scanner, beams), np.zeros(beams)
         self.matched = beams >= FEWEST_BEAMS
-        self._waiting, self._far, self._updated, self._count = False, False, 0, 0
+        self.waits, self._far, self._updated, self._count = False, False, 0, 0
         self._covariance = prior.covariance if with_covariance else None
 
     def step(self, increment: Increment | None, ranges: Array | None, seconds: float = 0.0) -> Array:
@@ -261,24 +261,19 @@ class ScanSlam:
                 np.array([c.key1 for c in believed]), np.array([c.key2 for c in believed]),
                 np.array([c.relative for c in believed]), np.array([c.covariance for c in believed]),
             )  # fmt: skip
-            self._waiting, self._far = True, self._far or any(is_far(c, self.poses) for c in believed)
+            self.waits, self._far = True, self._far or any(is_far(c, self.poses) for c in believed)
         # an update costs time with the size of the graph: in large ones key poses have one in common
         keys = len(self.frames)
-        if self._waiting and (self._far or keys - self._updated > (keys - LARGE) // AMORTIZED):
+        if self.waits and (self._far or keys - self._updated > (keys - LARGE) // AMORTIZED):
             self.update()
 
     def update(self) -> None:
         """Estimate all key poses anew."""
         self._graph.update()
-        self.poses, self._waiting, self._far, self._updated = self._graph.poses(), False, False, len(self.frames)
+        self.poses, self.waits, self._far, self._updated = self._graph.poses(), False, False, len(self.frames)
         self.closer.moved(self.poses)
         if self._covariance is not None:
             self._covariance = self._graph.newest()[1]
-
-    @property
-    def waits(self) -> bool:
-        """Whether loop closures wait for an update."""
-        return self._waiting
 
 
 def is_far(closure: Closure, poses: Array) -> bool:

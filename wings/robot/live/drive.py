@@ -83,7 +83,7 @@ class Looking:
         if now - self._at >= SECOND:
             self._at += SECOND * int((now - self._at) / SECOND)
             self.say(t)
-        elif self._feed is not None and self._feed.waiting >= MINUTE:
+        elif self._feed is not None and len(self._feed.waiting) >= MINUTE:
             self.say(t, aloud=False)
 
     def end(self, t: float) -> None:

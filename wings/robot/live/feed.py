@@ -116,31 +116,26 @@ class Feed:
     def __init__(self, estimators: int) -> None:
         self.published = Published()  # read it from any thread; it is replaced as a whole
         self._known = [MapChanges(QUANTUM) for _ in range(estimators)]
-        self._waiting: list[Taken] = []
+        self.waiting: list[Taken] = []  # unpublished frames
         self._minute: list[Taken] = []  # of the present minute: frames, and changes of each map
         self._changes = [np.empty((0, 8))] * estimators
 
     def add(self, taken: Taken) -> None:
         """Add a frame for the next `publish`."""
-        self._waiting.append(taken)
-
-    @property
-    def waiting(self) -> int:
-        """Number of unpublished frames."""
-        return len(self._waiting)
+        self.waiting.append(taken)
 
     def publish(self, maps: Sequence[MapState | None], header: Mapping[str, object]) -> None:
         """Make a chunk of the waiting frames, if any; maps are those after the last frame."""
-        if not self._waiting:
+        if not self.waiting:
             return
-        p, new = self.published, self._waiting
+        p, new = self.published, self.waiting
         header = {**header, "grids": p.grids}
         changes = [
             np.empty((0, 8)) if state is None else known.since(new[-1].frame.number, state, whole=not self._minute)
             for known, state in zip(self._known, maps, strict=True)
         ]
         large, small = p.large, (*p.small, chunk_of(new, changes, header))
-        self._waiting, self._minute = [], self._minute + new
+        self.waiting, self._minute = [], self._minute + new
         self._changes = [np.concatenate(both) for both in zip(self._changes, changes, strict=True)]
         if len(self._minute) >= MINUTE:
             large = (*large, chunk_of(self._minute, self._changes, header))

@@ -47,7 +47,7 @@ def soak(name, seconds, every=60.0, say=lambda *words: None):
 
             def look(t):
                 nonlocal next_row
-                if feed.waiting >= 4:
+                if len(feed.waiting) >= 4:
                     display.say(t)
                 if t >= next_row:
                     rows.append((t, resident()))
