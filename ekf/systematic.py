@@ -42,7 +42,7 @@ class WallFrame(SensorFrame):
 
     def poses_in(self, pose: Array, errors: Array) -> Array:
         """Poses (n, 3) in this frame."""
-        return pose - np.append(self.origin, 0.0)
+        return np.asarray(pose - np.append(self.origin, 0.0))
 
     def points_out(self, xy: Array, errors: Array) -> tuple[Array, float, Array]:
         """Walls (n, 2) about the world's origin, alpha wrapped; scale 1, and zero Jacobians to the errors (p,)."""

@@ -40,17 +40,15 @@ def _box(points: Array) -> tuple[Array, Array] | None:
     return (finite.min(axis=0), finite.max(axis=0)) if len(finite) else None
 
 
-def _credible(shown: Sequence[Series]) -> Series | None:
-    """The series that stands in for a missing truth: batch, or else the middle one by extent of those that finished."""
-    good = [s for s in shown if s.run.flaw is None and s.run.estimator != "dead-reckoning"]
-    good.sort(key=lambda s: float(np.ptp(s.trajectory.pose[:, :2], axis=0).max()))
-    return next(iter([*[s for s in good if s.run.estimator == "batch"], *good[(len(good) - 1) // 2 :], *shown]), None)
-
-
 def _anchor(log: Log, shown: Sequence[Series]) -> Array:
     """Points that must be in the picture: true path and landmarks, or their estimate where the truth is missing."""
     points = [np.atleast_2d(log.recorded.prior.mean[:2])]
-    known, truth, stand_in = true_landmarks(log), log.truth.pose, _credible(shown)
+    known, truth = true_landmarks(log), log.truth.pose
+    # in place of a missing truth: batch, or else the middle one by extent of those that finished
+    good = [s for s in shown if s.run.flaw is None and s.run.estimator != "dead-reckoning"]
+    good.sort(key=lambda s: float(np.ptp(s.trajectory.pose[:, :2], axis=0).max()))
+    of_batch = [s for s in good if s.run.estimator == "batch"]
+    stand_in = next(iter([*of_batch, *good[(len(good) - 1) // 2 :], *shown]), None)
     if truth is not None:
         points.append(truth[:, :2])
     if stand_in is not None and log.truth.known_poses < 0.5 * len(log.recorded):

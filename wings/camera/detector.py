@@ -75,12 +75,6 @@ def extract(rgb: Image, limit: int, *, fine_share: float = 1.0) -> Features:
     return Features(place[order], scale[order], np.rint(UNIT * np.sqrt(descriptor / total)).astype(np.float32))
 
 
-def join(first: Features, second: Features) -> Features:
-    """All features of both."""
-    place, scale = np.concatenate([first.place, second.place]), np.concatenate([first.scale, second.scale])
-    return Features(place, scale, np.concatenate([first.descriptor, second.descriptor]))
-
-
 def squeezed_view(rgb: Image, limit: int) -> Features:
     """Features of an oblique view: the width is squeezed by `SQUEEZE`; places are those of the picture itself."""
     h, w = rgb.shape[:2]
@@ -433,7 +427,9 @@ class Detector:
             # outer edge of the outer pixels
             self.corners.append(np.array([[0, 0], [w, 0], [w, h], [0, h]], float) - 0.5)
             self.aspects.append(reference.shape[0] / reference.shape[1])
-            self.features.append(join(frontal, squeezed_view(small, REFERENCE_FEATURES[1])))
+            both = frontal, squeezed_view(small, REFERENCE_FEATURES[1])
+            place, scale, descriptor = ([getattr(f, name) for f in both] for name in ("place", "scale", "descriptor"))
+            self.features.append(Features(np.concatenate(place), np.concatenate(scale), np.concatenate(descriptor)))
 
     def detect(self, rgb: Image, xyz: Points | None = None) -> Detected:
         """Pictures wholly visible in a frame (H, W, 3) uint8; DataError for images of wrong type or size. `xyz` (H, W,

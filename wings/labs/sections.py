@@ -68,7 +68,7 @@ def people_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
                 error = _error(shown)
                 label = f"{label}: at most {number(float(np.nanmax(error)))} m"
                 _line(below, shown.log, error, shown.run.association, line, label, style="default")
-            _axes_over_time(below, s.log, "position error [m]" if k == 0 or page_width() < NARROW else "", 4)
+            _axes_over_time(below, s.log, "position error [m]" if k == 0 or page_width() < NARROW else "")
             below.legend(**ABOVE)
         return fig
 
@@ -126,7 +126,7 @@ def maintenance_figure(plain: Shown, kept: Shown) -> Figure:
             if s.run.state_size is not None:
                 label = f"{what}: {int(s.run.state_size[-1])} at the end"
                 _line(below, s.log, s.run.state_size, s.run.association, line, label)
-        _axes_over_time(below, plain.log, "length of the state", 4)
+        _axes_over_time(below, plain.log, "length of the state")
         below.legend(**ABOVE)
         return fig
 
@@ -138,10 +138,10 @@ def _line(
     drawn.set_color(colour_of_method(method))
 
 
-def _axes_over_time(ax: Axes, log: Log, what: str, most: int) -> None:
+def _axes_over_time(ax: Axes, log: Log, what: str) -> None:
     """Time below, and what is shown over it from zero on with few ticks."""
     ax.set(xlabel=time_label(log.recorded), ylabel=what, ylim=(0.0, None))
-    ax.yaxis.set_major_locator(ticks(most))
+    ax.yaxis.set_major_locator(ticks(4))
 
 
 def _error(s: Shown) -> Array:

@@ -232,7 +232,7 @@ def pair(e: Expectation, slam: EkfSlam, ledger: Ledger, scales: Scales, setup: S
     if np.isin(found.decisions, e.number[unclear]).sum() >= constants.TOGETHER:
         return Paired(e, found, epoch)
     if ledger.travelled - epoch.begun > constants.WINDOW_SPAN * ledger.range:
-        epoch = ledger.new_epoch()
+        epoch = Epoch(ledger.travelled, ledger.created)
     few = e.only(clear(e, unclear, epoch))
     return Paired(few, jcbb_conditional(few, setup.gate, setup.new_gate, share=share), epoch)
 

@@ -311,10 +311,6 @@ class Ledger:
         gated[inside] = self.travelled
         return True
 
-    def new_epoch(self) -> Epoch:
-        """The epoch that begins where landmarks are ambiguous to the robot from now on."""
-        return Epoch(self.travelled, self.created)
-
     def end_epoch(self) -> None:
         """The ambiguity is resolved."""
         self.epoch = self.epoch._replace(begun=-math.inf)

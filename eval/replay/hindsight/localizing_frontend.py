@@ -185,9 +185,7 @@ class Stretches:
         """Join the stretches; costs and degrees of freedom add up."""
         parts = [*self._done, (self._now.finish(), self._frame + 1 - self._first)]
         totals = [p.total_nis for p, _ in parts if p.total_nis is not None]
-        paths = [
-            (p.final.pose[:n], p.final.covariance[:n]) for p, n in parts if p.final is not None
-        ]  # smoothers have one
+        paths = [(p.final.pose[:n], p.final.covariance[:n]) for p, n in parts if p.final is not None]  # all have
         errors = [(e.mean[:n], e.sigma[:n]) for p, n in parts if (e := p.systematic) is not None]
         final = Trajectory(*map(np.concatenate, zip(*paths, strict=True)))
         total = (sum(t[0] for t in totals), sum(t[1] for t in totals)) if len(totals) == len(parts) else None
@@ -208,11 +206,6 @@ class Handed(NamedTuple):
     def of(self, rows: IntArray | BoolArray) -> "Handed":
         """A selection of rows."""
         return Handed(self.frame[rows], self.z[rows], self.R[rows], self.number[rows])
-
-    def and_then(self, frame: Frame, number: IntArray) -> "Handed":
-        """Append observations of (a part of) a frame."""
-        new = np.full(len(number), frame.number), *frame.observations, number
-        return Handed(*(np.concatenate(both) for both in zip(self, new, strict=True)))
 
 
 NOTHING = Handed(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0, np.int64))
@@ -399,7 +392,8 @@ class LocalizingFrontEnd(FrontEnd):
     def _hold(self, frame: Frame, number: IntArray) -> None:
         """Remember the landmarks of a frame's observations in a smoother."""
         if self.estimator.smooths:
-            self._handed = self._handed.and_then(frame, number)
+            new = np.full(len(number), frame.number), *frame.observations, number
+            self._handed = Handed(*(np.concatenate(both) for both in zip(self._handed, new, strict=True)))
             self._held_until = self._seen
 
     def _elsewhere(self) -> bool:

@@ -41,7 +41,7 @@ from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.duplicates import Duplicates
 from eval.replay.hindsight.gates import LearnedGates, clear, dense, pair, widest
-from eval.replay.hindsight.ledger import Ledger, detection_rate
+from eval.replay.hindsight.ledger import Epoch, Ledger, detection_rate
 from eval.replay.hindsight.noise import AS_STATED, Restated
 from eval.replay.hindsight.placement import Memory, Placed, drifted, place, too_uncertain
 from eval.replay.hindsight.relocalize import EMPTY, extended, moved, relocalize
@@ -147,7 +147,7 @@ class Kidnapping:
         if self._alarm(len(decisions), ledger.paired(decisions)):
             kidnapped = unknown = anywhere(slam.xy, ledger.range)
             filters.each(lambda each: each.inflate(unknown))
-            ledger.epoch = ledger.new_epoch()
+            ledger.epoch = Epoch(ledger.travelled, ledger.created)
         if self.lost and np.trace(slam.estimate().covariance[:2, :2]) < (constants.FOUND_AGAIN * ledger.range) ** 2:
             self._recover()  # by a constellation
         if not self.lost:

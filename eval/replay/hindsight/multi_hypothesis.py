@@ -273,14 +273,12 @@ class MultiHypothesisFrontEnd(FrontEnd):
     def finish(self) -> Finished:
         """The end of the likeliest hypothesis."""
         first, done = self.members[0], self.estimator.finish()
-        managed = first.replay.map_management
+        managed, own = first.replay.map_management, done.map
         if managed is not None:
             self.map_management = copy.copy(managed)
             self.map_management.removed = {first.names[n]: frame for n, frame in managed.removed.items()}
             self.map_management.retracted = {first.names[n] for n in managed.retracted}
-        return (
-            done if done.map is None else done._replace(map=done.map._replace(number=first.as_decided(done.map.number)))
-        )
+        return done if own is None else done._replace(map=own._replace(number=first.as_decided(own.number)))
 
     def notes(self) -> list[Notice]:
         """Messages about the likeliest hypothesis's run."""

@@ -17,7 +17,7 @@ from wings.laser.pose_graph import PoseGraph
 from wings.laser.scans.matching import Match, MotionPrior, NearestGrid, Pyramid, best_pose, match, pyramid
 from wings.laser.scans.points import FEWEST_BEAMS, Points, beams_of, joined, scan_points
 from wings.laser.scans.uncertainty import compose_covariances
-from wings.laser.slam.closures import Closure, LoopCloser
+from wings.laser.slam.closures import LoopCloser
 from wings.laser.slam.parameters import LaserParameters
 
 OTHER_START = np.array([0.03, 0.03, 0.01])
@@ -261,7 +261,8 @@ class ScanSlam:
                 np.array([c.key1 for c in believed]), np.array([c.key2 for c in believed]),
                 np.array([c.relative for c in believed]), np.array([c.covariance for c in believed]),
             )  # fmt: skip
-            self.waits, self._far = True, self._far or any(is_far(c, self.poses) for c in believed)
+            off = [pose_error(between(self.poses[c.key1], self.poses[c.key2]), c.relative) for c in believed]
+            self.waits, self._far = True, self._far or bool((np.abs(off) > FAR).any())
         # an update costs time with the size of the graph: in large ones key poses have one in common
         keys = len(self.frames)
         if self.waits and (self._far or keys - self._updated > (keys - LARGE) // AMORTIZED):
@@ -274,8 +275,3 @@ class ScanSlam:
         self.closer.moved(self.poses)
         if self._covariance is not None:
             self._covariance = self._graph.newest()[1]
-
-
-def is_far(closure: Closure, poses: Array) -> bool:
-    """Whether a loop closure disagrees with the estimate of the key poses (K, 3)."""
-    return bool((np.abs(pose_error(between(poses[closure.key1], poses[closure.key2]), closure.relative)) > FAR).any())
