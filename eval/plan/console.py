@@ -24,7 +24,7 @@ class Console:
         """Print a message, unless quiet; on a terminal in an ANSI colour."""
         self.lines.append(text)
         if not self.quiet:
-            _print(f"\033[{colour}m{text}\033[0m" if colour and self.coloured else text)
+            say(f"\033[{colour}m{text}\033[0m" if colour and self.coloured else text)
 
     def complain(self, text: str) -> None:
         """Print an error that does not end the command, even if quiet."""
@@ -35,11 +35,11 @@ class Console:
         """Print a message for -v."""
         self.lines.append(text)
         if self.verbose:
-            _print(text)
+            say(text)
 
 
-def _print(text: str) -> None:
-    """Print a line; a closed pipe (`... | head -1`) does not end the run."""
+def say(text: str) -> None:
+    """Print a line; a closed pipe (`... | head -1`) or terminal does not end the run."""
     try:
         print(text, flush=True)
     except BrokenPipeError:

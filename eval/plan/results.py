@@ -339,15 +339,11 @@ def asked_results(reading: Results, logs: Sequence[str], folders: Sequence[str])
     names = list(named)
     file = None if reading.truth is None else true_path(reading.truth, names, reading)
     datum = () if file is None else file.datum
-    results = tuple(
-        replace(
-            _result(name, path, replace(manner_of(name, names, reading), datum=datum)),
-            offset=offset_of(name, names, reading),
-        )
-        for name, path in named.items()
-    )
-    truth = None if file is None else TruePath.of(file)
-    return Asked(results, file, truth, reading)
+    results = []
+    for name, path in named.items():
+        result = _result(name, path, replace(manner_of(name, names, reading), datum=datum))
+        results.append(replace(result, offset=offset_of(name, names, reading)))
+    return Asked(tuple(results), file, None if file is None else TruePath.of(file), reading)
 
 
 def truth_alone(asked: Asked) -> Log:

@@ -158,11 +158,8 @@ def sketch(trial: Trial, j: Judgement, folder: Path | None = None) -> Sketch | N
         # a file of its own needs the name of its language
         own = svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
         (folder / "figures" / f"{name}.svg").write_text(own + "\n", encoding="utf-8", newline="\n")
-    return Sketch(
-        svg,
-        paragraph("overview#sketch", log=j.log, names=[name for name, _ in found]),
-        None if folder is None else name,
-    )
+    alt = paragraph("overview#sketch", log=j.log, names=[what for what, _ in found])
+    return Sketch(svg, alt, None if folder is None else name)
 
 
 def drawn(lines: Sequence[tuple[Array, tuple[str, float]]]) -> str:

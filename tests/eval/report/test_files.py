@@ -227,7 +227,7 @@ def places(tmp_path_factory):
         patch.setattr(words, "environment", lambda package: marked if package == "data" else templates(package))
         every = [notice(code).about(**ABOUT) for code in Code]
         patch.setattr(steps, "notices", lambda trials, scores, known: found(trials, scores, [*known, *every]))
-        patch.setattr("eval.plan.console._print", said.append)
+        patch.setattr("eval.plan.console.say", said.append)
         run = ["--log", SHORT, "--task", "slam", "--estimator", "ekf", "--association", "known", "--no-plots"]
         main([*run, "--out", str(out), "--jobs", "1"])
     report = (out / "report.md").read_text(encoding="utf-8")

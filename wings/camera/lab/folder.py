@@ -51,8 +51,6 @@ NEEDS_TRUST = (
 UNPICKLING = (pickle.UnpicklingError, ImportError, AttributeError, IndexError, *BROKEN)
 """Errors of a pickle that cannot be loaded."""
 SMALL = 2  # most dimensions of arrays that are read whole (timestamps and commands)
-
-
 FRAME_FIRST, FIELD_FIRST = "[{frame}][{field!r}]", "[{field!r}][{frame}]"
 
 

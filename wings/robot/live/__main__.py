@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 from data.command import Command
 from data.errors import UsageError
-from data.terminal import INTERRUPTED, WRONG, ending, unread
+from data.terminal import INTERRUPTED, WRONG, ending
+from eval.plan.console import say
 from eval.plan.flags import texts_of
 from eval.plan.flags.options import options_of
 from eval.plan.flags.table import Options, add_flags
@@ -129,15 +130,6 @@ def _check(wish: Namespace) -> None:
             raise UsageError(f"--estimator {other[0]}: with --association {SCAN} {SCAN_ESTIMATOR} is needed")
         if other and len(asked.association) == 1:
             raise UsageError(f"--estimator {other[0]}: --association {SCAN} has {SCAN_ESTIMATOR} alone")
-
-
-def say(text: str) -> None:
-    """Print a line; a closed terminal does not end the drive."""
-    try:
-        print(text, flush=True)
-    except BrokenPipeError:
-        if not unread():
-            raise
 
 
 @ending()
