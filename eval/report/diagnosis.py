@@ -21,7 +21,7 @@ from eval.replay.settings import BATCH, FILTERS, associations
 from eval.report.page.blocks import Block, Picture, Section, folded
 from eval.report.page.files import SYSTEMATIC, drop_blank_columns, number, stem, written_table
 from eval.report.words import fine_print, plus_minus, say
-from eval.studies.diagnosis import SHARES, Blame, Row, Trust
+from eval.studies.diagnosis import SHARES, Row, Trust
 
 MOST = 18  # rows of a table; trust.csv has all
 HEADLINE = (
@@ -146,7 +146,11 @@ def facts_of(trust: Trust, terms: causes.Terms) -> dict[str, Any]:
     return {
         "log": trust.log, "task": trust.task, "association": trust.association, "terms": terms,
         "twins": len(trust.twins),
-        "judged": None if blame is None else _verdict(blame),  # by the battery; None: too few replicates
+        "judged": None if blame is None else {  # by the battery; None: too few replicates
+            "cause": blame.cause, "contradictions": blame.contradictions, "objected": len(blame.objected),
+            "tested": blame.tested, "p": blame.p if math.isfinite(blame.p) else None,  # the smallest one
+            "unexplained": bool(blame.objected and not blame.findings),  # nothing rejected has a name
+        },
         "apart": tuple(_apart(trust, name) for name in causes.online(trust)),  # online paths against the smoothed one
         "findings": causes.explanations(found, terms),  # the weightiest first; main: those for a first page
         "main": causes.explanations(causes.main_findings(trust), terms),
@@ -176,14 +180,6 @@ def _apart(trust: Trust, name: str) -> dict[str, object]:
         # share of the frames in which P_f - P_s is
         "semidefinite": share.value if share is not None and math.isfinite(share.value) else None,
     }
-
-
-def _verdict(blame: Blame) -> dict[str, object]:
-    """Cause, rejected statistics of those tested, and the smallest p; unexplained: nothing rejected has a name."""
-    unexplained = bool(blame.objected and not blame.findings)
-    p = blame.p if math.isfinite(blame.p) else None
-    counts = {"objected": len(blame.objected), "tested": blame.tested, "unexplained": unexplained}
-    return {"cause": blame.cause, "contradictions": blame.contradictions, "p": p, **counts}
 
 
 def _deciding(trust: Trust) -> tuple[dict[str, object], ...]:
