@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -118,8 +118,7 @@ def header_names(text: Text, manner: Manner) -> Columns | None:
 
 def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, in_data: bool) -> Columns:
     """The column of each role: the stated one, else by its name; of an estimate and a truth in one row those of one."""
-    of = {name: role_of(name) for name in {*names}}  # most names of a very wide row are blank
-    read, place, earth = [of[name] for name in names], {}, {"lat", "lon"}
+    read, place, earth = [*map(cache(role_of), names)], {}, {"lat", "lon"}  # most names of a wide row are blank
     for role, name in manner.columns.items():
         number = int(name) - 1 if name.isdecimal() else -1
         if name not in names and not 0 <= number < len(names):
