@@ -36,44 +36,35 @@ from graph.systematic import errors_of
 from graph.walls import line_factors
 
 
-class Rejected(NamedTuple):
-    """Fixes (F,) and closures (K,) that take no part; None: all do."""
-
-    fixes: BoolArray | None = None
-    closures: BoolArray | None = None
-
-
-NONE_REJECTED = Rejected()
-
-
 def smooth(
     inputs: Inputs, decisions: IntArray, created: IntArray, start: Start, *, loss: str = "gaussian",
-    rejected: Rejected = NONE_REJECTED, with_shares: bool = False, enough: float = STEP,
+    rejected: BoolArray | None = None, with_shares: bool = False, enough: float = STEP,
 ) -> Smoothed:  # fmt: skip
     """Maximum a posteriori path (and map): a minimum reached from `start`.
 
     Inputs with a map: localization, decisions (M,) are map ids or `DISCARD`; landmarks of an uncertain map are
     estimated. Without: SLAM, decisions are landmark numbers, `NEW` or `DISCARD`, and `created` (M,) is the number of
     the landmark an observation initialized (-1: none). `loss`: gaussian, huber or cauchy, on measurements only; fixes
-    and closures are such. `with_shares`, `enough`: see `optimize`. Raises `UnderConstrained` (`NotConvergedError` if no
-    minimum was reached), and DataError for a singular covariance.
+    and closures are such. `rejected` (F + K,): fixes, then closures, that take no part; None: all do. `with_shares`,
+    `enough`: see `optimize`. Raises `UnderConstrained` (`NotConvergedError` if no minimum was reached), and DataError
+    for a singular covariance.
     """
     if loss not in LOSSES:
         raise ValueError(f"loss {loss!r}; known: {', '.join(LOSSES)}")
     problem = build(inputs, decisions, created, loss, rejected)
     found = optimize(problem, problem.values(start), loss=loss, with_shares=with_shares, enough=enough)
-    cut = None if loss != "cauchy" else _far_closures(inputs, found.trajectory.pose, rejected.closures)
+    cut = None if loss != "cauchy" else _far_closures(inputs, found.trajectory.pose, rejected)
     if cut is None:
         return found
-    problem = build(inputs, decisions, created, loss, rejected._replace(closures=cut))
+    problem = build(inputs, decisions, created, loss, cut)
     end = end_of(found, start.landmark, inputs.map)
     again = optimize(problem, problem.values(end), loss=loss, with_shares=with_shares, enough=enough)
     done = again.closures
     if done is None:
         return again
     # no gate rejected them: it is the loss that gives them no weight
-    gated = np.zeros(len(done.used), bool) if rejected.closures is None else rejected.closures
-    return replace(again, closures=done._replace(used=done.used | (cut & ~gated)))
+    by_loss = (cut if rejected is None else cut & ~rejected)[-len(done.used) :]
+    return replace(again, closures=done._replace(used=done.used | by_loss))
 
 
 def end_of(found: Smoothed, others: Array, known: LandmarkMap | None) -> Start:
@@ -91,18 +82,19 @@ up to a third, cut by less than 2 %. Cut at 10, true ones were lost, too."""
 
 
 def _far_closures(inputs: Inputs, pose: Array, rejected: BoolArray | None) -> BoolArray | None:
-    """Closures (K,) that take no part, with those beyond `CUT` at poses (N, 3); None: there are none of these."""
-    c = inputs.closures
+    """What takes no part (F + K,), with closures beyond `CUT` at poses (N, 3); None: there are none of these."""
+    c, fixes = inputs.closures, 0 if inputs.fixes is None else len(inputs.fixes)
     if c is None:
         return None
     off = pose_error(between(pose[c.frame1], pose[c.frame2]), c.relative)
-    far = np.einsum("ki,ki->k", off, np.linalg.solve(c.covariance, off[:, :, None])[:, :, 0]) > CUT**2
-    far = far if rejected is None else far & ~rejected
-    return None if not far.any() else far if rejected is None else far | rejected
+    square = np.einsum("ki,ki->k", off, np.linalg.solve(c.covariance, off[:, :, None])[:, :, 0])
+    far = np.append(np.zeros(fixes, bool), square > CUT**2)
+    out = far if rejected is None else far | rejected
+    return out if (far if rejected is None else far & ~rejected).any() else None
 
 
 def build(
-    inputs: Inputs, decisions: IntArray, created: IntArray, loss: str = "gaussian", rejected: Rejected = NONE_REJECTED
+    inputs: Inputs, decisions: IntArray, created: IntArray, loss: str = "gaussian", rejected: BoolArray | None = None
 ) -> Problem:
     """The factors of a log under given decisions."""
     refuse(inputs.systematic, inputs.map, inputs.sensor)
@@ -121,7 +113,12 @@ def build(
     for i, sensor in enumerate(sensors):
         rows = used if o.sensor is None else used[o.sensor[used] == i]
         seen = (sensor, o.z[rows], o.R[rows], o.frame[rows], number[rows])
-        at = None if inputs.map is None else inputs.map.xy[_rows_of(inputs.map, number[rows])]
+        at = None
+        if inputs.map is not None:
+            there = inputs.map.rows(number[rows])
+            if (there < 0).any():
+                raise UsageError(f"decision {number[rows][there < 0][0]}: the map has no landmark of this id")
+            at = inputs.map.xy[there]
         if walls:
             found += line_factors(*seen, about, loss, at)
         elif at is not None and exact:
@@ -133,28 +130,13 @@ def build(
     return Problem(inputs.prior, motion, found, exact, about if walls else None, of_poses, priors)
 
 
-def _of_poses(inputs: Inputs, loss: str, rejected: Rejected) -> list[PoseFactor]:
-    found = list[PoseFactor]()
-    if (f := inputs.fixes) is not None:
-        found += _without(fix_factors(f.frame.tolist(), f, f.sources, loss), rejected.fixes)
-    if (c := inputs.closures) is not None:
-        found += _without(closure_factors(c, loss), rejected.closures)
-    return found
-
-
-def _without(factors: list[PoseFactor], rejected: BoolArray | None) -> list[PoseFactor]:
+def _of_poses(inputs: Inputs, loss: str, rejected: BoolArray | None) -> list[PoseFactor]:
+    f, c = inputs.fixes, inputs.closures
+    found = [] if f is None else fix_factors(f.frame.tolist(), f, f.sources, loss)
+    found += [] if c is None else closure_factors(c, loss)
     if rejected is None:
-        return factors
-    return [p.left_out() if out else p for p, out in zip(factors, rejected.tolist(), strict=True)]
-
-
-def _rows_of(known: LandmarkMap, ids: IntArray) -> IntArray:
-    """Row of the map for each id; raises UsageError for one the map does not have."""
-    rows = known.rows(ids)
-    bad = np.flatnonzero(rows < 0)
-    if len(bad):
-        raise UsageError(f"decision {ids[bad[0]]}: the map has no landmark of this id")
-    return rows
+        return found
+    return [p.left_out() if out else p for p, out in zip(found, rejected.tolist(), strict=True)]
 
 
 def chordal(ends: IntArray, M: Array, m: Array, turn: Array, shift: Array) -> tuple[Array, Array]:
@@ -322,7 +304,6 @@ def gnc(
     graduated = Graduated(problem)
     dims = [s.dims for s in problem.observations] + [len(p.entries) for p in problem.pose_factors]
     threshold = np.array([gate_threshold(probability, d) for d in dims], float)
-    closure = np.array([p.closure for p in problem.pose_factors], np.bool_)
     used = np.flatnonzero(np.where(created >= 0, created, decisions) >= 0)
     if problem.motion.names:
         # with wrong errors, right pairings would be rejected
@@ -335,9 +316,7 @@ def gnc(
         accepted = np.zeros(len(decisions), np.bool_)
         accepted[used[believed[: len(used)]]] = True
         kept = np.where(accepted, decisions, DISCARD), np.where(accepted, created, -1)
-        fixes, closures = (~believed[len(used) :][rows] for rows in (~closure, closure))
-        rejected = Rejected(fixes if len(fixes) else None, closures if len(closures) else None)
-        result = smooth(inputs, *kept, start, rejected=rejected)
+        result = smooth(inputs, *kept, start, rejected=~believed[len(used) :])
         start = end_of(result, start.landmark, inputs.map)
         square = graduated.at(problem.values(start)).square
         if result.map is not None and not problem.priors:

@@ -12,7 +12,7 @@ from data.notice import Code, notice, stopped
 from data.result import DISCARD, Failure, Run, Trajectory, map_estimate, map_with
 from data.se2 import Array, BoolArray
 from eval.replay.settings import ESTIMATOR_TABLE
-from graph.batch import PROBABILITY, Rejected, chordal_path, gnc, smooth
+from graph.batch import PROBABILITY, chordal_path, gnc, smooth
 from graph.factors import UnderConstrained
 from graph.optimum import STEP, NotConvergedError, Smoothed
 from graph.problem import Start
@@ -63,8 +63,12 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run], eno
         else:
             further = [partial(_start_of, run, inputs, initialized) for run in others]
             # outside the front end's gate; fixes and closures that it could not use are none of these
-            outside = (None if e is None else np.isfinite(e.nis) & ~e.used for e in (front.fixes, front.closures))
-            result = _lowest(inputs, final, initialized, [*own, *further], loss, Rejected(*outside), enough)
+            parts = ((inputs.fixes, front.fixes), (inputs.closures, front.closures))
+            outside = np.concatenate([
+                np.zeros(len(given or ()), bool) if done is None else np.isfinite(done.nis) & ~done.used
+                for given, done in parts
+            ])  # fmt: skip
+            result = _lowest(inputs, final, initialized, [*own, *further], loss, outside, enough)
     except UnderConstrained as stop:
         return failed(Failure("diverged", 0, stopped(str(stop))), time.perf_counter() - begin)
     seconds = time.perf_counter() - begin
@@ -103,7 +107,7 @@ def _least_truncated(
 
 def _lowest(
     inputs: Inputs, final: IntArray, initialized: IntArray, starts: Sequence[Callable[[], Start | None]], loss: str,
-    rejected: Rejected, enough: float,
+    rejected: BoolArray, enough: float,
 ) -> Smoothed:  # fmt: skip
     """The minimum from the first start, or the lowest of those from others, as long as it is suspicious. Under a robust
     loss wrong closures hide in a low cost: two starts then.

@@ -46,7 +46,7 @@ from eval.replay.hindsight.noise import Restated, with_shares
 from eval.replay.hindsight.opportunities import Detections, Kept, recounted, remaining
 from eval.replay.poses import PoseRecords
 from eval.replay.settings import Beginning, Given, Setup
-from graph.batch import Rejected, end_of, smooth
+from graph.batch import end_of, smooth
 from graph.factors import UnderConstrained
 from graph.problem import Start
 
@@ -334,7 +334,7 @@ class WholeLog:
     def _smooth_once(self, number: IntArray, start: Start, by: Assumed) -> Smoothed:
         """Smooth and re-associate, with the landmarks as they are."""
         log = self._inputs(by)
-        out = Rejected(~self.poses.fixes.used, ~self.poses.closures.used)
+        out = ~np.concatenate([self.poses.fixes.used, self.poses.closures.used])
         none = np.full(len(number), -1)
         found = smooth(log, number, none, start, rejected=out, with_shares=True, enough=constants.SMOOTHED)
         assert found.map is not None
