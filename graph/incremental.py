@@ -34,50 +34,6 @@ from graph.systematic import Errors, errors_of
 from graph.walls import WallObservation, as_vectors, line_factors, wall_factors
 
 
-class Candidates:
-    """Landmarks that may be in view, without a joint covariance of all. A map of walls is small: all of it."""
-
-    def __init__(self, sensor: Sensor, known: LandmarkMap | None) -> None:
-        self.sensor, self.map = sensor, known
-        self._drift, self._asked = UncertaintyBounds(), False  # with labels nobody asks
-        self._places = Places(np.empty((0, 2)) if known is None else known.xy)
-
-    def move(self, increment: Increment) -> None:
-        """Add the uncertainty of an increment."""
-        self._drift.move(increment)
-
-    def see(self, observations: FrameObservations, number: IntArray, P: Array) -> None:
-        """Landmarks (m,) of SLAM were observed from a pose of covariance P (3, 3)."""
-        if self._asked and self.sensor.sees_points and self.sensor.locates:
-            self._drift.see(self.sensor, observations, number, P)
-
-    def know(self, number: IntArray, J: Array) -> None:
-        """Joint covariance J, world frame, of some variables and, last, landmarks (n,) of SLAM."""
-        if self.sensor.sees_points:
-            self._drift.know(number, np.sqrt(np.diag(J)[-2 * len(number) :].reshape(-1, 2).sum(1)))
-
-    def expect(self, number: IntArray, z_hat: Array, HPHt: Array) -> None:
-        """Landmarks (n,) of SLAM are expected at z_hat (n, 2), with covariances (n, 2, 2)."""
-        if self.sensor.sees_points and self.sensor.locates:
-            self._drift.expect(self.sensor, number, z_hat, HPHt)
-
-    def known(self, point: Array, radius: float) -> tuple[IntArray, Array]:
-        """Ids (n,) and positions (n, 2) of known landmarks at most a radius [m] from a point (2,)."""
-        assert self.map is not None
-        rows = self._places.around(point, radius)
-        return self.map.id[rows], self.map.xy[rows]
-
-    def of_slam(
-        self, number: IntArray, pose: Array, P: Array, positions_of: Callable[[list[int]], Array]
-    ) -> tuple[IntArray, Array]:
-        """Landmarks among (n,) near a pose (3,) of covariance P, and their positions (m, 2)."""
-        xy, self._asked = positions_of(number.tolist()), True
-        if not self.sensor.sees_points:
-            return number, xy
-        near = may_be_in_view(self.sensor, pose, xy, *self._drift.sigmas(number, P))
-        return number[near], xy[near]
-
-
 def form(
     sensor: Sensor, pose: Array, covariance: Array, number: IntArray, xy: Array, observations: FrameObservations,
     at: Array | None = None, inside: Callable[[Array], Array] | None = None,
@@ -312,7 +268,8 @@ class Isam2Smoother:
         self._motion: int | None = None  # the engine's handle on the present motion, which joined without observations
         self._of_poses = list[PoseFactor]()  # fixes and closures so far
         self._observed = Observed(self.sensor, known, errors)
-        self._candidates = Candidates(self.sensor, known)
+        self._places, self._drift = Places(np.empty((0, 2)) if known is None else known.xy), UncertaintyBounds()
+        self._asked = False  # for candidates of SLAM; with labels nobody asks
         sigma = np.zeros((0, 2)) if known is None or known.sigma is None else known.sigma
         self._margin = float(np.hypot(*sigma.T).max(initial=0.0))  # m, of the search for landmarks of an uncertain map
         self._least = float(sigma.min(initial=np.inf)) ** 2  # m^2, least variance of its priors
@@ -325,9 +282,8 @@ class Isam2Smoother:
         """An independent copy; shared factors are linearized at the systematic errors that either found last."""
         other = memo[id(self)] = forked(self)
         other._end, other._observed = forked(self._end), forked(self._observed)
-        other._candidates = forked(self._candidates)
         other._observed._handles = {n: list(handles) for n, handles in self._observed._handles.items()}
-        other._candidates._drift = forked(self._candidates._drift)
+        other._drift = forked(self._drift)
         other._engine = self._engine.fork(other._observed.name)
         return other
 
@@ -335,13 +291,13 @@ class Isam2Smoother:
         """Expect and use observations of this sensor from now on. ValueError beside systematic errors."""
         if self._end.errors is not None:
             raise ValueError("systematic errors are estimated with one sensor; this log has several")
-        self.sensor = self._observed.sensor = self._candidates.sensor = sensor
+        self.sensor = self._observed.sensor = sensor
 
     def predict(self, increment: Increment) -> None:
         """Predict with an increment; the graph grows only with an observation."""
         self.frame, self._motion = self.frame + 1, None
         self._end.move(increment)
-        self._candidates.move(increment)
+        self._drift.move(increment)
 
     def inflate(self, covariance: Array) -> None:
         """Add an isotropic covariance (3, 3) to the last motion. ValueError after observations of the frame."""
@@ -350,7 +306,7 @@ class Isam2Smoother:
         else:
             self._engine.exchange(self._motion, self._end.inflated(covariance))
             self._read()
-        self._candidates.move(Increment(np.zeros(3), covariance))
+        self._drift.move(Increment(np.zeros(3), covariance))
 
     def estimate(self) -> PoseEstimate:
         """The newest pose with its world-frame covariance (copies)."""
@@ -368,23 +324,29 @@ class Isam2Smoother:
 
     def expect(self, observations: FrameObservations) -> Expectation:
         """Expectation of the landmarks in view: sensor range and angles, widened by 3 sigma and 5 degrees."""
+        pose = self._end.mean
         if self.map is not None:
             radius = view_radius(self.sensor, self._end.P) + 2.0 * SIGMAS * self._margin
-            number, xy = self._candidates.known(*self._end.reach(radius))
+            rows = self._places.around(*self._end.reach(radius))
+            number, xy = self.map.id[rows], self.map.xy[rows]
             xy, joint = self._of_map(number) if is_uncertain(self.map) else self._end.known(xy)
-            candidates = number, xy
         else:
-            candidates = self._candidates.of_slam(self.numbers, self._end.mean, self._end.P, self._engine.points)
-            joint = self._joint(candidates[0])
-        pose = self._end.mean
-        every = form(self.sensor, pose, joint, *candidates, observations)
+            number, xy, self._asked = self.numbers, self._engine.points(self.numbers.tolist()), True
+            if self.sensor.sees_points:  # a map of walls is small: all of it
+                near = may_be_in_view(self.sensor, pose, xy, *self._drift.sigmas(number, self._end.P))
+                number, xy = number[near], xy[near]
+            joint = self._joint(number)
+        every = form(self.sensor, pose, joint, number, xy, observations)
         keep = in_view(self.sensor, every.z_hat, every.HPHt)
-        if self.map is None:
-            self._candidates.expect(candidates[0], every.z_hat, every.HPHt)
+        if self.map is None and self._locates_points:
+            self._drift.expect(self.sensor, number, every.z_hat, every.HPHt)
         if len(joint) > len(pose):
             joint = joint[np.ix_(*[np.concatenate([np.ones(3, np.bool_), np.repeat(keep, 2)])] * 2)]
-        number, xy = candidates[0][keep], candidates[1][keep]
-        return form(self.sensor, pose, joint, number, xy, observations, inside=self._end.inside)
+        return form(self.sensor, pose, joint, number[keep], xy[keep], observations, inside=self._end.inside)
+
+    @property
+    def _locates_points(self) -> bool:
+        return self.sensor.sees_points and self.sensor.locates
 
     def _of_map(self, number: IntArray) -> tuple[Array, Array]:
         """Places (n, 2) of landmarks of an uncertain map, and joint covariance of the newest pose and them."""
@@ -407,8 +369,13 @@ class Isam2Smoother:
         if not len(number):
             return self._end.P
         J = self._engine.with_landmarks(self._end.keys, number.tolist())  # in graph coordinates
-        self._candidates.know(number, J)
+        self._know(number, J)
         return self._end.carried(J)
+
+    def _know(self, number: IntArray, J: Array) -> None:
+        """Joint covariance J, world frame, of some variables and, last, landmarks (n,) of SLAM."""
+        if self.sensor.sees_points:
+            self._drift.know(number, np.sqrt(np.diag(J)[-2 * len(number) :].reshape(-1, 2).sum(1)))
 
     def update(
         self, observations: FrameObservations, decisions: IntArray, *, threshold: float = np.inf,
@@ -472,7 +439,8 @@ class Isam2Smoother:
         seen = self._observed.factors_of(observations, frames, number, self._end, self._engine, values)
         if self.map is None:
             self._observed.start(observations, number, self._end.mean, values)
-            self._candidates.see(observations, number, self._end.P)
+            if self._asked and self._locates_points:
+                self._drift.see(self.sensor, observations, number, self._end.P)
         self._add(motion, seen, values, again=again)
         self._read()
 
@@ -655,7 +623,7 @@ class Isam2Smoother:
         if len(number):
             J = self._engine.with_landmarks(self._end.keys, number.tolist())
             if self.map is None:
-                self._candidates.know(number, J)
+                self._know(number, J)
             found = self._end.map_of(number, self._engine.points(number.tolist()), J)
         return found if self.map is None else map_with(self.map, found)
 
