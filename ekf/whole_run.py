@@ -97,7 +97,8 @@ def run_filter(
             sensor.kind, sensor.extrinsic, state.mean, state.P, state.d, steps, options.augment_variance(0.0), how,
             errors, part,
         )  # fmt: skip
-        steps.put(decided, track.white)
+        decided[steps.rows[~steps.keep]] = DISCARD
+        track.white[steps.rows] = steps.white
         reached = epoch.end if status == kernels.OK else epoch.begin + int(stopped) + 1
         track.size[epoch.begin : reached] += base + 2 * created - state.d
         if known is None:
@@ -144,11 +145,6 @@ class Steps(NamedTuple):
     join: IntArray  # (N + 1,) first landmark of an uncertain map that joins the state with each frame
     xy: Array  # (I, 2) their places in the map
     sigma: Array  # (I, 2)
-
-    def put(self, decisions: IntArray, white: Array) -> None:
-        """Enter the outcomes: into decisions (M,) that a pairing was rejected, the innovations into white (M, 2)."""
-        decisions[self.rows[~self.keep]] = DISCARD
-        white[self.rows] = self.white
 
 
 class Joining(NamedTuple):

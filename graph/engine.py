@@ -109,7 +109,11 @@ class Engine:
     ) -> list[int]:  # fmt: skip
         """Add factors, remove those with the handles; new handles. `again`: eliminated anew, `every`: relinearized."""
         new, old = [self._keep(f) for f in factors], self._release(handles)
-        order, keys = (_groups(last), _key_list(again)) if last else (None, None)
+        order, keys = None, None
+        if last:
+            order, keys = gtsam.KeyGroupMap(), _key_list(again)
+            for key in last:  # after all others
+                order.insert2(key, 1)
         try:
             found = self.isam.update(graph_of(factors), values, old, order, None, keys, every)
         except RuntimeError as fault:
@@ -233,8 +237,7 @@ class Engine:
         try:
             return np.asarray(self.isam.jointMarginalCovariance(keys).fullMatrix(), float)
         except RuntimeError as fault:
-            if "Indeterminate linear system" not in str(fault):
-                raise
+            self._free(fault)
         return self._in_parts(keys)
 
     def _in_parts(self, keys: Sequence[int]) -> Array:
@@ -266,10 +269,9 @@ class Engine:
 
     def _recover(self, fault: RuntimeError) -> None:
         """After a failed elimination: start again with QR, or report the undetermined variable."""
-        if "Indeterminate linear system" not in str(fault):
-            raise fault
+        undetermined = self._free(fault)
         if self.qr:
-            raise self._free(fault) from None
+            raise undetermined from None
         self.qr = True
         self._rebuild()
 
@@ -282,12 +284,13 @@ class Engine:
         try:
             found = self.isam.update(graph_of(list(self._factors.values())), values)
         except RuntimeError as fault:
-            if "Indeterminate linear system" not in str(fault):
-                raise
             raise self._free(fault) from None
         self._slot = dict(zip(self._factors, found.getNewFactorsIndices(), strict=True))
 
     def _free(self, fault: RuntimeError) -> UnderConstrained:
+        """The error that names the undetermined variable; raises a fault that is of another kind."""
+        if "Indeterminate linear system" not in str(fault):
+            raise fault
         match = re.search(r"variable\s+(\d+)", str(fault))
         name = self.name(int(match.group(1))) if match else "a variable"
         return UnderConstrained(f"{name} is not determined by the data so far")
@@ -400,14 +403,6 @@ def _is_hard(factor: Factor | None) -> bool:
         linear = factor.factor()
         return isinstance(linear, gtsam.JacobianFactor) and isinstance(linear.get_model(), gtsam.noiseModel.Constrained)
     return isinstance(factor, gtsam.NoiseModelFactor) and isinstance(factor.noiseModel(), gtsam.noiseModel.Constrained)
-
-
-def _groups(last: Sequence[int]) -> gtsam.KeyGroupMap:
-    """Variables that are eliminated after all others."""
-    found = gtsam.KeyGroupMap()
-    for key in last:
-        found.insert2(key, 1)
-    return found
 
 
 def _key_list(keys: Iterable[int]) -> gtsam.KeyList:

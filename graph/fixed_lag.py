@@ -102,17 +102,16 @@ class FixedLagSmoother(Isam2Smoother):
         return frames[frames >= self._oldest]
 
     def _marginalize_old(self, but: int = 0) -> None:
-        """Marginalize poses that are too old, once the newest joined; `but` stay: the motion may be inflated."""
+        """Marginalize poses that are too old, with the copies of landmarks observed from them, once the newest joined;
+        `but` stay: the motion may be inflated.
+        """
         now = self._time[-1]
         if self._end.anchor < self.frame:
             return
-        if now - self._time[self._oldest - self._timed] > (1.0 + self.slack) * self.lag:
-            oldest = min(self._timed + bisect_left(self._time, now - self.lag), self.frame - but)
-            if oldest > self._oldest:
-                self._marginalize_before(oldest)
-
-    def _marginalize_before(self, oldest: int) -> None:
-        """Marginalize the poses of all frames before `oldest`, with the copies of landmarks observed from them."""
+        oldest = min(self._timed + bisect_left(self._time, now - self.lag), self.frame - but)
+        due = now - self._time[self._oldest - self._timed] > (1.0 + self.slack) * self.lag
+        if not due or oldest <= self._oldest:
+            return
         frames = range(self._oldest, oldest)
         if self._keeps:
             self._keep(frames)

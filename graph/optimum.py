@@ -50,22 +50,22 @@ def innovations(
         rows: the problem at its optimum, weighted by the loss.
         blocks: (k,) of the factors in these rows.
         covariance: (V, 3, 3) of all variables; of the first as of `Linearizer`.
-        across: (q, 3, 3) between those of `pairs_of`.
+        across: (q, 3, 3) between the two frames of each closure.
         loss: of the problem.
     """
     if not factors:
         return None, None
     used = np.array([p.used for p in factors])
-    root = np.sqrt(_weight((rows.b[blocks, :, 0] ** 2).sum(1), loss))  # of the weights, taken off again
+    weight = _weight((rows.b[blocks, :, 0] ** 2).sum(1), loss)
+    root = np.sqrt(weight)  # taken off again
     A, error = rows.A[blocks, :, :6] / root[:, None, None], -rows.b[blocks, :, 0] / root[:, None]
     P = np.zeros((len(factors), 6, 6))
     P[:, :3, :3] = covariance[np.array([p.frames[0] for p in factors])]
     two = [i for i, p in enumerate(factors) if p.closure]
     P[two, 3:, 3:] = covariance[[factors[i].frames[-1] for i in two]]
     P[two, :3, 3:], P[two, 3:, :3] = across, across.transpose(0, 2, 1)
-    weight = np.where(used, _weight((rows.b[blocks, :, 0] ** 2).sum(1), loss), 0.0)
     M = A @ P @ A.transpose(0, 2, 1)
-    G = np.eye(3) - weight[:, None, None] * M
+    G = np.eye(3) - np.where(used, weight, 0.0)[:, None, None] * M
     checked = np.linalg.eigvalsh(G)[:, 0] > UNCHECKED
     G[~checked] = np.eye(3)
     innovation = np.linalg.solve(G, error[:, :, None])
@@ -119,11 +119,6 @@ def _weight(square: Array, loss: str) -> Array:
 
 
 DEPTH = 6  # steps of an extrapolation
-
-
-def extended(past: Sequence[tuple[Array, Array]], at: Array, step: Array) -> list[tuple[Array, Array]]:
-    """The last estimates with the step from each, and one more."""
-    return [*past[max(len(past) - DEPTH + 1, 0) :], (at, step)]
 
 
 def mixture(past: Sequence[tuple[Array, Array]]) -> Array | None:
@@ -258,7 +253,7 @@ def _descend(linearizer: Linearizer, values: gtsam.Values, *, enough: float = ST
             first = min(1.0, 2.0 * first)
         delta = linearizer.step(linearizer.tangent(solution, values), solution.constants)
         if extrapolates:
-            past = extended(past, *linearizer.flat(values, linearizer.moved(values, delta)))
+            past = [*past, linearizer.flat(values, linearizer.moved(values, delta))][-DEPTH:]
         for share, moved in _trials(linearizer, values, delta, first, past):
             moved_error = linearizer.cost(moved)
             limit = error - ARMIJO * share * (1.0 - 0.5 * share) * left**2 + ERROR_ROUNDING * (1.0 + error)
