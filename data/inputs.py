@@ -245,41 +245,24 @@ times as long on UTIAS Dataset 9 robot 3, whose effect is 0.01, and no pose move
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """The estimator's side of a log.
+    """The estimator's side of a log."""
 
-    Attributes:
-        prior: belief about the pose at frame 0.
-        time: (N,) s, strictly increasing (frame numbers if `time_is_index`).
-        increments: motion into each frame.
-        observations: ascending by frame; `LabelledObservations` if labels were granted.
-        sensor: the measurement model.
-        map: known landmarks, or None (SLAM).
-        time_is_index: the log has no stamps.
-        covariance_floor: smallest eigenvalue allowed in an increment's covariance.
-        floored: number of increments raised to the floor.
-        scans: of a laser log.
-        systematic: systematic errors to estimate (None: none).
-        fixes: absolute measurements of the pose, such as GPS (None: none).
-        closures: measured relative poses between frames (None: none).
-        sensors: all sensors of a log with several, of which `sensor` is the first; empty: there is one.
-        start: (N + 1,) offsets; the observations of frame k are rows start[k]:start[k + 1].
-    """
-
-    prior: Prior
-    time: Array
-    increments: Increments
-    observations: Observations
-    sensor: Sensor
-    map: LandmarkMap | None = None
-    time_is_index: bool = False
-    covariance_floor: float = 1e-10
-    floored: int = 0
-    scans: Scans | None = None
-    systematic: Systematic | None = None
-    fixes: Fixes | None = None
-    closures: Closures | None = None
+    prior: Prior  # belief about the pose at frame 0
+    time: Array  # (N,) s, strictly increasing (frame numbers if `time_is_index`)
+    increments: Increments  # motion into each frame
+    observations: Observations  # ascending by frame; `LabelledObservations` if labels were granted
+    sensor: Sensor  # the measurement model
+    map: LandmarkMap | None = None  # known landmarks, or None (SLAM)
+    time_is_index: bool = False  # the log has no stamps
+    covariance_floor: float = 1e-10  # smallest eigenvalue allowed in an increment's covariance
+    floored: int = 0  # number of increments raised to the floor
+    scans: Scans | None = None  # of a laser log
+    systematic: Systematic | None = None  # systematic errors to estimate (None: none)
+    fixes: Fixes | None = None  # absolute measurements of the pose, such as GPS (None: none)
+    closures: Closures | None = None  # measured relative poses between frames (None: none)
+    # all sensors of a log with several, of which `sensor` is the first; empty: there is one
     sensors: tuple[Sensor, ...] = ()
-    start: IntArray = field(init=False)
+    start: IntArray = field(init=False)  # (N + 1,) offsets; the observations of frame k are rows start[k]:start[k + 1]
 
     def __post_init__(self) -> None:
         starts = np.searchsorted(self.observations.frame, np.arange(len(self.time) + 1))

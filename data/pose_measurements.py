@@ -30,17 +30,11 @@ MEASURED = {FixKind.POSITION: (0, 1), FixKind.HEADING: (2,), FixKind.POSE: (0, 1
 
 @dataclass(frozen=True)
 class FixSource:
-    """A source of fixes, such as a GPS antenna or a compass.
+    """A source of fixes, such as a GPS antenna or a compass."""
 
-    Attributes:
-        name: unique in a log.
-        lever: m, its place in the body frame: it measures p + R(theta) lever.
-        rotation: rad, its direction in the body frame: it measures theta + rotation.
-    """
-
-    name: str
-    lever: tuple[float, float] = (0.0, 0.0)
-    rotation: float = 0.0
+    name: str  # unique in a log
+    lever: tuple[float, float] = (0.0, 0.0)  # m, its place in the body frame: it measures p + R(theta) lever
+    rotation: float = 0.0  # rad, its direction in the body frame: it measures theta + rotation
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,23 +67,14 @@ class _Known(Locked):
 
 @dataclass(frozen=True, eq=False)
 class Fixes(_Known):
-    """Absolute measurements of the pose, or of part of it: of a log, or of one of its frames.
+    """Absolute measurements of the pose, or of part of it: of a log, or of one of its frames."""
 
-    Attributes:
-        frame: (F,) ascending.
-        kind: (F,) of `FixKind`.
-        source: (F,) row in `sources`.
-        z: (F, 3) x, y [m], theta [rad] in the world frame, zero in the entries that its kind does not measure.
-        covariance: (F, 3, 3) of z in the world frame, zero in the rows and columns that are not measured.
-        sources: where they come from.
-    """
-
-    frame: IntArray
-    kind: IntArray
-    source: IntArray
-    z: Array
-    covariance: Array
-    sources: tuple[FixSource, ...]
+    frame: IntArray  # (F,) ascending
+    kind: IntArray  # (F,) of `FixKind`
+    source: IntArray  # (F,) row in `sources`
+    z: Array  # (F, 3) x, y [m], theta [rad] in the world frame, zero in the entries that its kind does not measure
+    covariance: Array  # (F, 3, 3) of z in the world frame, zero in the rows and columns that are not measured
+    sources: tuple[FixSource, ...]  # where they come from
 
     @property
     def later(self) -> IntArray:
@@ -124,21 +109,15 @@ def expected_fix(pose: Array, kind: int, source: FixSource) -> tuple[Array, Arra
 class Closures(_Known):
     """Measured relative poses of two frames: loop closures, scan matches, edges of a pose graph, a second odometry.
     Those of a log, or those that are known at one of its frames.
-
-    Attributes:
-        frame1, frame2: (K,) different frames, in either order; ascending by the later one.
-        relative: (K, 3) pose of frame2 in the frame of frame1 [m, m, rad].
-        covariance: (K, 3, 3) of its additive error, in the frame of frame1.
-        source: (K,) row in `sources`.
-        sources: names of where they come from.
     """
 
+    # frame1, frame2: (K,) different frames, in either order; ascending by the later one
     frame1: IntArray
     frame2: IntArray
-    relative: Array
-    covariance: Array
-    source: IntArray
-    sources: tuple[str, ...]
+    relative: Array  # (K, 3) pose of frame2 in the frame of frame1 [m, m, rad]
+    covariance: Array  # (K, 3, 3) of its additive error, in the frame of frame1
+    source: IntArray  # (K,) row in `sources`
+    sources: tuple[str, ...]  # names of where they come from
 
     @property
     def later(self) -> IntArray:
@@ -214,23 +193,15 @@ def closure_of(relative: Array, covariance: Array, a: int, b: int, size: int) ->
 
 
 class PoseUpdated(NamedTuple):
-    """What an estimator did with the fixes, or the closures, of a frame, or of a log.
+    """What an estimator did with the fixes, or the closures, of a frame, or of a log."""
 
-    Attributes:
-        used: (F,) accepted.
-        nis: (F,) normalized innovation squared of each by itself, at its turn; NaN: not formed, or not reached.
-        dof: (F,) its degrees of freedom.
-        white: (F, 3) innovations whitened by the Cholesky factor of their covariance; NaN: not measured or not formed.
-        S: (F, 3, 3) covariance of the innovations; NaN: not measured, not formed, or not kept.
-        gate: chi-square probability of the gate; None: there was none.
-    """
-
-    used: NDArray[np.bool_]
-    nis: Array
-    dof: IntArray
+    used: NDArray[np.bool_]  # (F,) accepted
+    nis: Array  # (F,) normalized innovation squared of each by itself, at its turn; NaN: not formed, or not reached
+    dof: IntArray  # (F,) its degrees of freedom
+    # (F, 3) innovations whitened by the Cholesky factor of their covariance; NaN: not measured or not formed
     white: Array
-    S: Array
-    gate: float | None = None
+    S: Array  # (F, 3, 3) covariance of the innovations; NaN: not measured, not formed, or not kept
+    gate: float | None = None  # chi-square probability of the gate; None: there was none
 
     def enter(self, rows: IntArray | NDArray[np.bool_], part: PoseUpdated) -> None:
         """Enter what became of the measurements in some rows."""

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.inputs import CLUTTER, IntArray, LandmarkMap
+from data.inputs import IntArray, LandmarkMap
 from data.locked import Locked
 from data.result import Systematics
 from data.se2 import Array
@@ -42,31 +42,23 @@ class BadTruth:
 
 @dataclass(frozen=True, eq=False)
 class Truth(Locked):
-    """Ground truth; any part may be None, and metrics that need it are then blank.
+    """Ground truth; any part may be None, and metrics that need it are then blank."""
 
-    Attributes:
-        pose: (N, 3), NaN rows where missing or marked bad; a heading alone may be NaN: only the position is known.
-        landmarks: true landmark positions by id.
-        landmark_of: (M,) true id per observation, `CLUTTER` for false alarms, `UNKNOWN_ID` if unknown.
-        relations: reference relations of a laser log.
-        errors: true systematic errors of a simulated robot, by frame (sigma is zero).
-        left_out: windows of bad ground truth, whose poses are NaN.
-        excluded: stretches (from, to) [s of the log's recording], whose poses are NaN on request.
-        screened: windows of bad ground truth were looked for, or are scored on request (`data.truth_windows.scored`).
-        fix_inlier: (F,) 1 where a fix is right, 0 where it is an outlier, -1 unknown; None: not stated.
-        closure_inlier: (K,) the same of each closure.
-    """
-
+    # (N, 3), NaN rows where missing or marked bad; a heading alone may be NaN: only the position is known
     pose: Array | None = None
-    landmarks: LandmarkMap | None = None
+    landmarks: LandmarkMap | None = None  # true landmark positions by id
+    # (M,) true id per observation, `CLUTTER` for false alarms, `UNKNOWN_ID` if unknown
     landmark_of: IntArray | None = None
-    relations: Relations | None = None
-    errors: Systematics | None = None
-    left_out: tuple[BadTruth, ...] = ()
+    relations: Relations | None = None  # reference relations of a laser log
+    errors: Systematics | None = None  # true systematic errors of a simulated robot, by frame (sigma is zero)
+    left_out: tuple[BadTruth, ...] = ()  # windows of bad ground truth, whose poses are NaN
+    # stretches (from, to) [s of the log's recording], whose poses are NaN on request
     excluded: tuple[tuple[float, float], ...] = ()
+    # windows of bad ground truth were looked for, or are scored on request (`data.truth_windows.scored`)
     screened: bool = False
+    # (F,) 1 where a fix is right, 0 where it is an outlier, -1 unknown; None: not stated
     fix_inlier: IntArray | None = None
-    closure_inlier: IntArray | None = None
+    closure_inlier: IntArray | None = None  # (K,) the same of each closure
 
     @property
     def known_poses(self) -> int:
@@ -77,6 +69,3 @@ class Truth(Locked):
     def has_headings(self) -> bool:
         """Whether some true pose has a heading."""
         return self.pose is not None and bool(np.isfinite(self.pose[:, 2]).any())
-
-
-__all__ = ["CLUTTER", "UNKNOWN_ID", "BadTruth", "Relations", "Truth"]

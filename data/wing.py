@@ -18,107 +18,78 @@ GROUP = "slamref.wings"
 
 @dataclass(frozen=True)
 class World:
-    """A world and its texts.
+    """A world and its texts."""
 
-    Attributes:
-        module: with its function `simulate(parameters, seed, name)`.
-        parameters: in that module, the dataclass of its parameters.
-        example: names of its logs.
-        counts: further keys of its names, whole numbers from 1 up that are no parameters.
-        help: of its kind of `python -m data.convert`; empty if that writes something else.
-        opens: of a world with images, function of (name, reading, say) that opens a log by its name; blank: `simulate`.
-    """
-
-    module: str
-    parameters: str
-    example: str
-    help: str = ""
-    counts: tuple[str, ...] = ()
+    module: str  # with its function `simulate(parameters, seed, name)`
+    parameters: str  # in that module, the dataclass of its parameters
+    example: str  # names of its logs
+    help: str = ""  # of its kind of `python -m data.convert`; empty if that writes something else
+    counts: tuple[str, ...] = ()  # further keys of its names, whole numbers from 1 up that are no parameters
+    # of a world with images, function of (name, reading, say) that opens a log by its name; blank: `simulate`
     opens: str = ""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A kind of file, or of folder without a `log.toml`, that is a log.
+    """A kind of file, or of folder without a `log.toml`, that is a log."""
 
-    Attributes:
-        recognized: function of (path) that says whether it is one.
-        opens: function of (path, reading, say).
-        kind: of `python -m data.convert`.
-        what: in a message.
-        found: function of (paths in a folder, say) that gives those it knows, with their loaders (None: of no log of
-            its own); blank: `slamref run --data` does not search for them.
-    """
-
-    recognized: str
-    opens: str
-    kind: str
-    what: str
+    recognized: str  # function of (path) that says whether it is one
+    opens: str  # function of (path, reading, say)
+    kind: str  # of `python -m data.convert`
+    what: str  # in a message
+    # function of (paths in a folder, say) that gives those it knows, with their loaders (None: of no log of its own);
+    # blank: `slamref run --data` does not search for them
     found: str = ""
 
 
 @dataclass(frozen=True)
 class Wing:
-    """One wing; every text is `module:function`, imported when it is used.
+    """One wing; every text is `module:function`, imported when it is used."""
 
-    Attributes:
-        name: of its folder, or entry point.
-        commands: subcommands of `slamref`: function of (arguments, name of the command), and what it does.
-        api: names of the Python API, and their modules.
-        worlds: simulated worlds by name.
-        logs: functions of (path) that open a folder with a `log.toml` if it is one of theirs, else return None.
-        recordings: kinds of files, and of folders without one.
-        conversions: modules of kinds of `python -m data.convert`, as its `SOURCES`.
-        questions: functions of (log) that give notices for its author.
-        replays: functions of (inputs, task, estimators, association, setup, judge) that give the runs of `compare`, or
-            None for what is not theirs.
-        kernels: parts to compile, by name: functions without arguments.
-        outcomes: functions of (run, log, phase) that give columns of `association.csv`, of runs that decide about
-            something else than observations, or None.
-        notices: functions of (trial, trials) that give notices about a trial's runs.
-        player: functions of (pack, key, run, trial, step) that add a run's loops to the player, and give their states.
-        company: functions of (trials of a player, all trials) that give other robots for it, or None; their
-            `add(pack, (key, trial, run) of each run, step)` adds them and gives their header.
-        files: functions of (folder, trial) that write files about a log.
-        run_files: functions of (folder of a run, output, trial, run) that write files about a run.
-        figures: kinds of figures of a trial, by name (`eval.report.pictures.Kind`).
-        images: functions of (name, log) that give an image of each frame, PNG; none of a log that is not theirs.
-        log_sections: functions of (folder, output, trial) that give sections of the report on one log and task.
-        sections: functions of (folder, output, trials, pictures of each, in_lab, factor) that give sections.
-        plans: functions of (name, estimators, setup, reading, say) that give the experiments of `--lab`.
-        teams: functions of (name, selection, setup, reading, say) that give the experiments of `--cooperative`.
-        hand_in: functions of (folder, options, trials, scores, unfinished) that give sections that come first.
-        write_up: functions of (folder, trials, scores, sections of `hand_in`, other sections) of `--write-up`.
-        settings: functions of (options, trials) that give settings by log, kept in `provenance.json`.
-        templates: package with a folder `templates` of words of the report; blank: none.
-    """
-
-    name: str
+    name: str  # of its folder, or entry point
+    # subcommands of `slamref`: function of (arguments, name of the command), and what it does
     commands: Mapping[str, tuple[str, str]] = field(default_factory=dict)
-    api: Mapping[str, str] = field(default_factory=dict)
-    worlds: Mapping[str, World] = field(default_factory=dict)
+    api: Mapping[str, str] = field(default_factory=dict)  # names of the Python API, and their modules
+    worlds: Mapping[str, World] = field(default_factory=dict)  # simulated worlds by name
+    # functions of (path) that open a folder with a `log.toml` if it is one of theirs, else return None
     logs: tuple[str, ...] = ()
-    recordings: tuple[Recording, ...] = ()
-    conversions: tuple[str, ...] = ()
-    questions: tuple[str, ...] = ()
+    recordings: tuple[Recording, ...] = ()  # kinds of files, and of folders without one
+    conversions: tuple[str, ...] = ()  # modules of kinds of `python -m data.convert`, as its `SOURCES`
+    questions: tuple[str, ...] = ()  # functions of (log) that give notices for its author
+    # functions of (inputs, task, estimators, association, setup, judge) that give the runs of `compare`, or None for
+    # what is not theirs
     replays: tuple[str, ...] = ()
-    kernels: Mapping[str, str] = field(default_factory=dict)
+    kernels: Mapping[str, str] = field(default_factory=dict)  # parts to compile, by name: functions without arguments
+    # functions of (run, log, phase) that give columns of `association.csv`, of runs that decide about something else
+    # than observations, or None
     outcomes: tuple[str, ...] = ()
-    notices: tuple[str, ...] = ()
+    notices: tuple[str, ...] = ()  # functions of (trial, trials) that give notices about a trial's runs
+    # functions of (pack, key, run, trial, step) that add a run's loops to the player, and give their states
     player: tuple[str, ...] = ()
+    # functions of (trials of a player, all trials) that give other robots for it, or None; their `add(pack, (key,
+    # trial, run) of each run, step)` adds them and gives their header
     company: tuple[str, ...] = ()
-    files: tuple[str, ...] = ()
-    run_files: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()  # functions of (folder, trial) that write files about a log
+    run_files: tuple[str, ...] = ()  # functions of (folder of a run, output, trial, run) that write files about a run
+    # kinds of figures of a trial, by name (`eval.report.pictures.Kind`)
     figures: Mapping[str, str] = field(default_factory=dict)
+    # functions of (name, log) that give an image of each frame, PNG; none of a log that is not theirs
     images: tuple[str, ...] = ()
+    # functions of (folder, output, trial) that give sections of the report on one log and task
     log_sections: tuple[str, ...] = ()
+    # functions of (folder, output, trials, pictures of each, in_lab, factor) that give sections
     sections: tuple[str, ...] = ()
+    # functions of (name, estimators, setup, reading, say) that give the experiments of `--lab`
     plans: tuple[str, ...] = ()
+    # functions of (name, selection, setup, reading, say) that give the experiments of `--cooperative`
     teams: tuple[str, ...] = ()
+    # functions of (folder, options, trials, scores, unfinished) that give sections that come first
     hand_in: tuple[str, ...] = ()
+    # functions of (folder, trials, scores, sections of `hand_in`, other sections) of `--write-up`
     write_up: tuple[str, ...] = ()
+    # functions of (options, trials) that give settings by log, kept in `provenance.json`
     settings: tuple[str, ...] = ()
-    templates: str = ""
+    templates: str = ""  # package with a folder `templates` of words of the report; blank: none
 
 
 @cache

@@ -20,14 +20,14 @@ from data.columns.named import COVARIANCE, UPPER, require_semidefinite, unused
 from data.columns.sensors import FIRST, NOISE, SENSOR, may_be_blank, observed
 from data.csv_table import Columns, Table
 from data.errors import DataError, unknown
-from data.inputs import UNLABELLED, Increments, Inputs, IntArray, LandmarkMap, Observations
+from data.inputs import CLUTTER, UNLABELLED, Increments, Inputs, IntArray, LandmarkMap, Observations
 from data.motion.motion_prior import MotionPrior
 from data.motion.velocity import floor_covariances, gaps_said, preintegrate, told
 from data.se2 import Array
 from data.sensors import RangeBearing
 from data.terminal import counted
 from data.timeline import frame_times, truth_at
-from data.truth import CLUTTER, UNKNOWN_ID, Truth
+from data.truth import UNKNOWN_ID, Truth
 
 FRAMES, ODOMETRY, OBSERVATIONS, TRUTH = "frames.csv", "odometry.csv", "observations.csv", "truth.csv"
 LANDMARKS, FIXES, CLOSURES = "landmarks.csv", "fixes.csv", "closures.csv"

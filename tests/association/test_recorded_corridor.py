@@ -11,7 +11,7 @@ import pytest
 
 from association.decide import decide
 from data.formats.open_log import load_folder
-from data.truth import CLUTTER
+from data.inputs import CLUTTER
 from ekf.slam import EkfSlam
 
 LOGS = [f"corridor_s0_people{people}_odo{odometry}" for people in (0, 1) for odometry in (0, 1)]

@@ -15,11 +15,11 @@ import numpy as np
 from data import pictures
 from data.digest import program_digest
 from data.errors import UsageError
-from data.inputs import Observations
+from data.inputs import CLUTTER, Observations
 from data.log import Log
 from data.se2 import Array
 from data.sensors import RelativePoint
-from data.truth import CLUTTER, Truth
+from data.truth import Truth
 from data.whole import whole_file
 from wings.camera.detector import Detector
 from wings.camera.gallery import inputs_of

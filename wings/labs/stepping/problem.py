@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from association.expectation import Expectation, SingularInnovationError
-from data.inputs import Frame, IntArray
+from data.inputs import CLUTTER, Frame, IntArray
 from data.log import Log
 from data.result import DISCARD, NEW
 from data.sensors import Sensor
-from data.truth import CLUTTER, UNKNOWN_ID
+from data.truth import UNKNOWN_ID
 from eval.referee.confusion import OUTCOMES, Confusion, confuse
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.recorder import Observer

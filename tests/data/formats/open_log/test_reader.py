@@ -8,10 +8,10 @@ import pytest
 
 from data.errors import DataError
 from data.formats.open_log import read_relations, write_folder
-from data.inputs import UNLABELLED
+from data.inputs import CLUTTER, UNLABELLED
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
 from data.sensors import RangeBearing, RelativePoint
-from data.truth import CLUTTER, UNKNOWN_ID
+from data.truth import UNKNOWN_ID
 from tests.data.formats.open_log.same_log import assert_same_log, load
 
 
