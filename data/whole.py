@@ -47,8 +47,7 @@ def whole_folder(path: str | PathLike[str]) -> Iterator[Path]:
 def use(folder: Path) -> None:
     """Mark a folder as used by this process until that ends; remove what dead processes left in it."""
     for left in folder.glob(f".*{PARTIAL}-{escape(platform.node())}-*"):
-        process = left.stem.rpartition("-")[2]
-        if process.isdecimal() and not _is_alive(int(process)):
+        if not _is_alive(left.stem.rpartition("-")[2]):
             left.unlink(missing_ok=True)
     for mark in folder.glob(f".{USED}-*"):
         if _is_dead(mark):
@@ -64,7 +63,7 @@ def in_use(folder: Path) -> bool:
 
 def _is_dead(mark: Path) -> bool:
     host, _, process = mark.name.removeprefix(f".{USED}-").rpartition("-")
-    return host == platform.node() and process.isdecimal() and not _is_alive(int(process))
+    return host == platform.node() and not _is_alive(process)
 
 
 def _replace(target: Path, partial: Path) -> None:
@@ -88,8 +87,7 @@ def _sweep(target: Path) -> None:
     host = f"{platform.node()}-"
     for kind in (OLD, PARTIAL):
         for left in target.parent.glob(f".{escape(target.name)}.{kind}-{escape(host)}*"):
-            process = left.name.rpartition("-")[2]
-            if not process.isdecimal() or _is_alive(int(process)):
+            if _is_alive(left.name.rpartition("-")[2]):
                 continue
             if kind == OLD and not target.exists():
                 left.rename(target)
@@ -106,13 +104,13 @@ def _process() -> str:
     return f"{platform.node()}-{os.getpid()}"
 
 
-def _is_alive(process: int) -> bool:
-    """Whether a process of this machine runs; True where that cannot be checked."""
-    if os.name != "posix":
+def _is_alive(process: str) -> bool:
+    """Whether a process of this machine runs; True where that cannot be checked, or for what is no number."""
+    if os.name != "posix" or not process.isdecimal():
         return True
     with suppress(PermissionError):
         try:
-            os.kill(process, 0)
+            os.kill(int(process), 0)
         except ProcessLookupError:
             return False
     return True

@@ -35,12 +35,12 @@ from data.csv_table import read_table
 from data.errors import DataError, UsageError, unknown
 from data.inputs import Increments, Inputs, IntArray, LabelledObservations
 from data.log import Log
-from data.motion.velocity import WITH_ALPHAS, VelocityModel, longest_hold, preintegrate
+from data.motion.velocity import WITH_ALPHAS, VelocityModel, preintegrate
 from data.origin import Origin
 from data.result import DISCARD
 from data.se2 import Array, BoolArray
 from data.sensors import RangeBearing, Sensor
-from data.timeline import truth_at
+from data.timeline import truth_at, usual_gap
 from data.truth_windows import scored, unscored
 from ekf.whole_run import run_filter
 from eval.referee.consistency import correlated, lag1_correlation, mean_or_nan, nees, nis_bounds
@@ -79,7 +79,7 @@ def smooth_velocity(odometry: Odometry, at: Array) -> Array:
         return np.zeros((len(at), 2))
     length = np.diff(time)
     width = max(HALF_WIDTH, SAMPLES * float(np.median(length)))
-    hold = np.minimum(length, longest_hold(time))
+    hold = np.minimum(length, usual_gap(time))
     # distance and rotation so far, at each sample and at the end of its hold
     knots = np.column_stack([time[:-1], time[:-1] + hold]).ravel()
     moved = hold * np.stack([odometry.v[:-1], odometry.omega[:-1]])
@@ -271,12 +271,6 @@ def pairings(inputs: Inputs, threshold: float = math.inf) -> IntArray:
         seen = "no label is in the map" if inputs.map is not None else "no landmark is seen twice"
         raise DataError(f"nothing to fit to: {seen if len(decisions) else 'there are no observations'}")
     return run.decisions if inputs.map is None else np.where(decisions >= 0, run.decisions, DISCARD)
-
-
-def middle(inputs: Inputs, decisions: IntArray) -> int:
-    """The frame by which half of the pairings have been made."""
-    frames = inputs.observations.frame[decisions >= 0]
-    return int(frames[len(frames) // 2])
 
 
 def score(inputs: Inputs, decisions: IntArray, begin: int = 0) -> Score:
@@ -539,7 +533,8 @@ def _scores(model: Model, decisions: IntArray, found: Fit | None, tuned: Inputs)
 
     scores = {"as stated": score(model.inputs, decisions), TUNED: after(lambda: tuned)}
     if found is not None:
-        half = middle(model.inputs, decisions)
+        frames = model.inputs.observations.frame[decisions >= 0]
+        half = int(frames[len(frames) // 2])  # by which half of the pairings have been made
         scores["second half, as stated"] = score(model.inputs, decisions, half)
         first = "second half, tuned on the first"
         scores[first] = after(lambda: apply(model, fit(model, decisions, half).theta), half)

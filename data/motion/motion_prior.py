@@ -44,7 +44,7 @@ class ForwardPrior(_Stated):
     def increments(self, time: Array) -> Increments:
         """Increments of frames at `time` (N,); row 0 is zero."""
         sigma = np.array([self.step_sigma, self.lateral_sigma, self.turn_sigma])
-        mean, covariance = _rows(len(time))
+        mean, covariance = np.zeros((len(time), 3)), np.zeros((len(time), 3, 3))
         mean[1:, 0], covariance[1:] = self.step_mean, np.diag(sigma**2)
         return Increments(mean, covariance)
 
@@ -66,7 +66,7 @@ class ConstantVelocityPrior(_Stated):
 
     def increments(self, time: Array) -> Increments:
         """Increments of frames at `time` (N,) s; row 0 is zero."""
-        mean, covariance = _rows(len(time))
+        mean, covariance = np.zeros((len(time), 3)), np.zeros((len(time), 3, 3))
         G = np.empty((3, 2))
         variance = np.diag([self.velocity_sigma**2, self.turn_rate_sigma**2])
         for k, dt in enumerate(np.diff(time).tolist(), 1):
@@ -87,7 +87,3 @@ def note_of(prior: MotionPrior) -> str:
     name = next(n for n, kind in PRIORS.items() if isinstance(prior, kind))
     stated = ", ".join(f"{f.name} = {getattr(prior, f.name):.4g}" for f in fields(prior))
     return f"No odometry: every increment is the motion prior `{name}` ({stated})."
-
-
-def _rows(frames: int) -> tuple[Array, Array]:
-    return np.zeros((frames, 3)), np.zeros((frames, 3, 3))

@@ -200,9 +200,9 @@ class VelocityModel:
 def preintegrate(model: VelocityModel, time: Array, v: Array, omega: Array, at: Array) -> tuple[Increments, int]:
     """Increments between the instants `at` (N,) from samples at `time` (K,), ascending; also the number of gaps.
 
-    A sample holds until the next one, at most `longest_hold`. In a gap the mean stands still, and standard deviations
-    grow as far as the fastest sample of the log would have gone. Composing the increments equals predicting sample by
-    sample (to rounding).
+    A sample holds until the next one, at most `usual_gap`: 1 s, or 1.5 times their usual interval, at most 5 s. In a
+    gap the mean stands still, and standard deviations grow as far as the fastest sample of the log would have gone.
+    Composing the increments equals predicting sample by sample (to rounding).
     """
     # copies: read-only arrays would compile the kernel once more
     time, v, omega, at = (np.array(a, float, order="C") for a in (time, v, omega, at))
@@ -220,15 +220,10 @@ def preintegrate(model: VelocityModel, time: Array, v: Array, omega: Array, at: 
     return Increments(mean, cov), len(_unseen(time, at))
 
 
-def longest_hold(time: Array) -> float:
-    """Longest hold [s] of samples at `time` (K,): `MAX_HOLD`, or 1.5 times their usual interval, at most 5 s."""
-    return usual_gap(time)
-
-
 def _holds(time: Array, end: float) -> tuple[Array, Array]:
     """Time [s] from each sample (K,) to the next, of the last one at least to `end`, and that for which it holds."""
     length = np.append(np.diff(time), max(time[-1] - time[-2] if len(time) > 1 else MAX_HOLD, end - time[-1]))
-    return length, np.minimum(length, longest_hold(time))
+    return length, np.minimum(length, usual_gap(time))
 
 
 def _unseen(time: Array, at: Array) -> Array:
@@ -242,7 +237,7 @@ def _unseen(time: Array, at: Array) -> Array:
 def gaps_said(time: Array, at: Array) -> str:
     """The note on gaps of samples at `time` (K,) between the instants `at` (N,), where there are some."""
     gap, span = _unseen(time, at), at[-1] - at[0]
-    many = f"{counted(len(gap), 'gap')} longer than {longest_hold(time):.3g} s"
+    many = f"{counted(len(gap), 'gap')} longer than {usual_gap(time):.3g} s"
     still = f"no motion is assumed over {gap.sum():.4g} of {span:.4g} s"
     return f"{many}, where the robot may have moved unseen: {still}"
 

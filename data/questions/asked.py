@@ -29,11 +29,8 @@ FEW = 50  # Least number of labelled observations for a question about labels
 
 def truth_rate(log: Log) -> list[Notice]:
     """True poses in few frames."""
-    pose = log.truth.pose
-    if pose is None or len(pose) < 2:
-        return []
-    known = log.truth.known_poses
-    if known >= SPARSE * len(pose):
+    pose, known = log.truth.pose, log.truth.known_poses
+    if pose is None or len(pose) < 2 or known >= SPARSE * len(pose):
         return []
     return [notice(Code.TRUTH_RATE, known=known, frames=len(pose), gap=MAX_GAP)]
 
@@ -41,9 +38,7 @@ def truth_rate(log: Log) -> list[Notice]:
 def labels(log: Log) -> list[Notice]:
     """Labels that number observations instead of landmarks."""
     label = log.granted
-    if label is None:
-        return []
-    named = label[label >= 0]
+    named = np.empty(0, np.int64) if label is None else label[label >= 0]
     distinct = len(np.unique(named))
     if len(named) < FEW or 2 * distinct <= len(named):
         return []

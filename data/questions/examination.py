@@ -574,9 +574,10 @@ def explanations(c: Case, *, whole: bool = True) -> list[Explained]:
         return twice or _by_size(x) or (_strange(x) if c.names is not None else []) or _order(x)
     spins = bool(fastest(c.time, c.u[1:, 2]))
     straight = x.judged(Reading(Kind.SCALE, "omega", readings.turning(0.0))).gain
-    # where no turn at all fits as well, something else is wrong
-    singles = [e for e in x.plain() if spins or not _of_turns(e) or straight < e.gain - max(2.0, CLOSE * e.gain)]
-    singles = sorted(singles, key=lambda e: -e.gain)
+    singles = sorted(x.plain(), key=lambda e: -e.gain)
+    if not spins:  # where no turn at all fits as well as another unit of turns, something else is wrong
+        turns = [e for e in singles if e.readings[-1].kind == Kind.UNIT and e.readings[-1].of == "omega"]
+        singles = [e for e in singles if e not in turns or straight < e.gain - max(2.0, CLOSE * e.gain)]
     found = [e for e in singles if accepted(e)]
     if whole and (not found or found[0].left) and (part := _in_part(c)):
         return part
@@ -632,10 +633,6 @@ def explanations(c: Case, *, whole: bool = True) -> list[Explained]:
         fits = [None if y.along is None else witnesses.placed_at(y, s.soon, y.along, drift=True) for y in read]
         result = [e for e, f in zip(result, fits, strict=True) if f is not None and f.off <= POOR] or result
     return result
-
-
-def _of_turns(e: Explained) -> bool:
-    return e.readings[-1].kind == Kind.UNIT and e.readings[-1].of == "omega"
 
 
 def _in_part(c: Case) -> list[Explained]:

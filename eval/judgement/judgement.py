@@ -17,18 +17,9 @@ from data.notice import Code, Notice
 from data.origin import Origins, assumed
 from data.questions import asked
 from data.truth import BadTruth
+from eval.judgement import runs as of_runs
 from eval.judgement.causes import Terms, cause_word, explanations, main_findings, of_trial, terms_of
-from eval.judgement.runs import (
-    Methods,
-    Objected,
-    Objection,
-    RunJudgement,
-    filters_in,
-    judged_runs,
-    methods_of,
-    pick,
-    smoothers_in,
-)
+from eval.judgement.runs import Methods, Objected, Objection, RunJudgement, judged_runs, methods_of
 from eval.referee.attribution import CONTRADICTED, NOTHING, UNTELLABLE, Finding
 from eval.referee.consistency import FIT, NEES_LIMITS
 from eval.referee.diagnostics import of_wings
@@ -336,12 +327,14 @@ def compared_of(
 ) -> Comparison:
     """Filter and smoother under the association method that is chosen for comparison."""
     # known association, or else the first that a filter and a smoother share, or else any
-    filters, smoothers = ({r.association for r in runs if r.estimator in of(runs)} for of in (filters_in, smoothers_in))
+    both_kinds = of_runs.filters_in(runs), of_runs.smoothers_in(runs)
+    filters, smoothers = ({r.association for r in runs if r.estimator in names} for names in both_kinds)
     given = dict.fromkeys(r.association for r in runs if r.association != "none")
     chosen = min(given, key=lambda a: (a != "known", a not in filters & smoothers), default=None)
     own = [r for r in runs if r.association == chosen]
-    filtered, smoothed = pick(own, filters_in(own), "online"), pick(own, smoothers_in(own), "final")
-    newest = pick([r for r in own if r.ok], INCREMENTAL, "online")
+    filtered = of_runs.pick(own, of_runs.filters_in(own), "online")
+    smoothed = of_runs.pick(own, of_runs.smoothers_in(own), "final")
+    newest = of_runs.pick([r for r in own if r.ok], INCREMENTAL, "online")
     both = None if filtered is None or smoothed is None else (filtered, smoothed)
 
     def each(field: str) -> tuple[float, float]:

@@ -20,10 +20,11 @@ from data.formats.results.path import COARSE, STEPS
 from data.formats.second_odometry import closures_between, covered, of_twists, own_name
 from data.formats.tables.files import BEYOND, QUATERNION, SECOND, Columns, TextTable, headings
 from data.inputs import Increments
-from data.motion.velocity import VelocityModel, VelocityNoise, longest_hold, preintegrate, told
+from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate, told
 from data.pose_measurements import Closures
 from data.se2 import Array
 from data.terminal import counted
+from data.timeline import usual_gap
 
 KINDS = {
     "velocities": ("v", "omega"), "poses": ("x", "y", "theta"), "steps": ("dx", "dy", "dtheta"),
@@ -89,7 +90,7 @@ class Odometry:
         rows = np.flatnonzero(self.time > begin)
         before = rows[0] - 1
         time, motion = self.time[rows], self.motion[rows]
-        if self.velocities and begin - self.time[before] > longest_hold(self.time):  # in a gap
+        if self.velocities and begin - self.time[before] > usual_gap(self.time):  # in a gap
             return replace(self, time=time, motion=motion)
         first = self.motion[before : rows[0]]
         if not self.velocities:
@@ -216,7 +217,7 @@ def read_odometry(
         pose = columns.turned(file, role, time, pose)
         pose[:, 2] = se2.wrap_angle(pose[:, 2])
     elif kind in ("sideways", "course"):  # each row holds until the next, along arcs
-        held = np.minimum(np.diff(time), longest_hold(time))
+        held = np.minimum(np.diff(time), usual_gap(time))
         turn = held * values["omega"][:-1] if kind == "sideways" else np.diff(np.unwrap(values["theta"]))
         ahead, left = (se2.along_arcs(held * values.get(q, 0.0 * time)[:-1], turn) for q in ("v", "vy"))
         ahead[:, :2] += left[:, 1::-1] * [-1.0, 1.0]
@@ -336,7 +337,7 @@ def second_closures(
     motion, _ = odometry.increments(time[frames], second.noise)
     gaps = None
     if odometry.velocities:
-        broken = np.cumsum(np.diff(odometry.time, prepend=odometry.time[0]) > longest_hold(odometry.time) + 1e-6)
+        broken = np.cumsum(np.diff(odometry.time, prepend=odometry.time[0]) > usual_gap(odometry.time) + 1e-6)
         row = np.searchsorted(odometry.time, time[frames])
         gaps = broken[row[1:]] != broken[row[:-1]]
     found = closures_between(frames, motion, name, gaps)
