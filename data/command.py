@@ -103,11 +103,8 @@ OF_OTHERS = dict.fromkeys(("--exclude-truth", "--keep-truth"), ("slamref run", "
 
 
 class Command(Parser):
-    """The parser of a command.
-
-    Args:
-        prog: name of the command; it replaces `module` in the examples.
-        description, examples: the beginning and the end of `--help`.
+    """The parser of a command `prog`, which replaces `module` in the examples; `description` and `examples` are the
+    beginning and the end of `--help`.
     """
 
     def __init__(self, prog: str, module: str, description: str, examples: str = "", **options: Any) -> None:

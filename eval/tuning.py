@@ -462,19 +462,12 @@ def tune(
     log: Log, folder: Path | None = None, *, groups: str | None = None, gate: float | None = None,
     use: Numbers | None = None, keep_truth: bool = False,
 ) -> Tuning:  # fmt: skip
-    """Fit noise and biases of a log, or apply those of another tuned log, and score both.
+    """Fit noise and biases of a log with labels, or apply those of another tuned log (`use`), and score both.
 
-    Args:
-        log: with labels.
-        folder: of the log, for its odometry.csv.
-        groups: comma list of `GROUPS`; None: the default ones.
-        gate: chi-square probability beyond which pairings are rejected, under the stated noise.
-        use: values of another tuned log, instead of a fit.
-        keep_truth: score windows of bad ground truth, too.
-
-    Raises:
-        UsageError: no labels, several sensors, a tuned copy, or invalid options.
-        DataError: no observations to fit to, or the filter fails.
+    `folder`: of the log, for its odometry.csv. `groups`: comma list of `GROUPS`; None: the default ones. `gate`:
+    chi-square probability beyond which pairings are rejected, under the stated noise. `keep_truth`: score windows of
+    bad ground truth, too. UsageError: no labels, several sensors, a tuned copy, or invalid options. DataError: no
+    observations to fit to, or the filter fails.
     """
     if not log.has_labels:
         raise UsageError(f"log {log.name!r} has no labels; a fit needs them (label in observations.csv)")

@@ -142,12 +142,8 @@ def _of_poses(inputs: Inputs, loss: str, rejected: BoolArray | None) -> list[Pos
 def chordal(ends: IntArray, M: Array, m: Array, turn: Array, shift: Array) -> tuple[Array, Array]:
     """Rotations (V, d, d) and translations (V, d) of poses 0 ... V - 1; the first of each connected part is the origin.
 
-    Args:
-        ends: (n, 2) poses that each relation ties.
-        M: (n, d, d) measured rotations.
-        m: (n, d) measured translations.
-        turn: (n,) information about the rotations, a number each.
-        shift: (n,) information about the translations.
+    Relations tie poses `ends` (n, 2), with measured rotations M (n, d, d) and translations m (n, d), and with
+    information about the rotations, `turn` (n,), and about the translations, `shift` (n,), a number each.
     """
     d = m.shape[1]
     free = _free(ends, int(ends.max()) + 1)

@@ -43,15 +43,9 @@ LEAST_WEIGHT = 1e-12  # of a robust loss
 def innovations(
     factors: Sequence[PoseFactor], rows: Rows, blocks: IntArray, covariance: Array, across: Array, loss: str
 ) -> tuple[PoseUpdated | None, PoseUpdated | None]:
-    """Innovations of all fixes and closures; None: there are none.
-
-    Args:
-        factors: (k,) of the problem.
-        rows: the problem at its optimum, weighted by the loss.
-        blocks: (k,) of the factors in these rows.
-        covariance: (V, 3, 3) of all variables; of the first as of `Linearizer`.
-        across: (q, 3, 3) between the two frames of each closure.
-        loss: of the problem.
+    """Innovations of all fixes and closures, `factors` (k,) of a problem; None: there are none. `rows`: the problem at
+    its optimum, weighted by its loss, with these factors in `blocks` (k,). `covariance` (V, 3, 3): of all variables, of
+    the first as of `Linearizer`; `across` (q, 3, 3): between the two frames of each closure.
     """
     if not factors:
         return None, None
@@ -81,13 +75,9 @@ def innovations(
 
 def left_by(A: Array, covariance: Array, pairs: IntArray, across: Array) -> Array:
     """Eigenvalues (m, 2), ascending, of I - M for observations of both coordinates: variances of their residuals at the
-    optimum, over those of their noise. Constant systematic errors count as known.
-
-    Args:
-        A: (m, 3, 6) of pose and landmark, whitened.
-        covariance: (V, 3, 3) of all variables; of the first as of `Linearizer`.
-        pairs: (m, 2) the variables; a known landmark is -1.
-        across: (m, 3, 3) between them.
+    optimum, over those of their noise. Constant systematic errors count as known. A (m, 3, 6): of pose and landmark,
+    whitened; `covariance`: as of `innovations`; `pairs` (m, 2): the variables, a known landmark is -1; `across` (m, 3,
+    3): between them.
     """
     P = np.zeros((len(A), 6, 6))
     P[:, :3, :3], P[:, :3, 3:], P[:, 3:, :3] = covariance[pairs[:, 0]], across, across.transpose(0, 2, 1)
