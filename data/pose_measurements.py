@@ -231,12 +231,13 @@ class Start(NamedTuple):
 
     pose: Array
     sigma: Array
+    onto: str = "odometry to the fixes"  # what it takes there
 
     def said(self, *, fits: bool = True) -> str:
         """As flags, in a note; `fits`: from there the odometry leads to the fixes, else the start is assumed."""
         (x, y, turn), (sx, sy, st) = self.pose.tolist(), self.sigma.tolist()
         flags = f"--prior={x:.4g},{y:.4g},{math.degrees(turn):.3g}deg --prior-sigma {sx:.3g},{sy:.3g},"
-        how, why = ("inferred", ", which takes odometry to the fixes") if fits else ("assumed", "")
+        how, why = ("inferred", f", which takes {self.onto}") if fits else ("assumed", "")
         return f"{how}: {flags}{math.degrees(st):.3g}deg{why}"
 
 

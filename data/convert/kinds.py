@@ -193,9 +193,6 @@ def _table(args: argparse.Namespace) -> Recording:
         given = with_mapping(args.source, given, (*FLAGS, *KEYS_ALONE))
     else:
         given["odometry"] = str(args.source)
-    # a log of odometry with fixes, closures or a second odometry needs no observations
-    if not {"fixes", "closures", "sensor", "scans", "second-odometry"} & set(given):
-        given.setdefault("observations", given.get("odometry"))
     return read_log(args.out.absolute().name, settle(given))
 
 

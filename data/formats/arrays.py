@@ -20,7 +20,8 @@ from data.formats.messages import file_and_word
 from data.se2 import Array
 
 PICKLES = (".pkl", ".pickle", ".p")
-SUFFIXES = (".mat", ".npz", ".npy", ".json", ".h5", ".hdf5", *PICKLES)
+TEXTS = (".json", ".jsonl", ".ndjson")
+SUFFIXES = (".mat", ".npz", ".npy", ".h5", ".hdf5", *TEXTS, *PICKLES)
 MATRICES = ((4, 4), (3, 4))  # Shapes of poses in space
 WIDE = (12, 30)
 """Most rows and fewest columns of a matrix whose rows are the columns of a table: a state at each of many instants."""
@@ -37,7 +38,7 @@ def is_arrays(path: Path) -> bool:
 
 def named(path: Path) -> dict[str, Any]:
     """The arrays of a file by name; runs no code of it. DataError for a damaged file."""
-    if path.suffix.lower() in (".json", *PICKLES):
+    if path.suffix.lower() in (*TEXTS, *PICKLES):
         return _plain_file(path)
     if path.suffix.lower() not in (".npz", ".npy"):
         return octave(path) if is_octave(path) else dict(load(path, variables(path)))
@@ -81,7 +82,7 @@ SAFE = frozenset({
 def _plain_file(path: Path) -> dict[str, Any]:
     """What a file of JSON, whole or an object a line, or a pickle holds, by name."""
     try:
-        if path.suffix.lower() != ".json":
+        if path.suffix.lower() not in TEXTS:
             with path.open("rb") as file:
                 found = _plain(_Unpickler(file, encoding="latin1").load())
         else:
@@ -156,8 +157,10 @@ def columns_of(
         turned = np.ndim(value) == 2 and len(value.T) in along and len(value) not in along
         value = value.T if turned and len(value) > WIDE[0] else value  # an instant in each column
         columns |= _unrolled("" if [name] == structs else name, value)
-    if word and (own := {k.removeprefix(f"{word}."): c for k, c in columns.items() if k.startswith(f"{word}.")}):
-        columns = own
+    if word:
+        own = {k.removeprefix(f"{word}."): c for k, c in columns.items() if k.startswith(f"{word}.")}
+        matrix = {k: c for k, c in columns.items() if k == word or k.rstrip("0123456789") == f"{word}_"}
+        columns = own or matrix or columns
     lengths = set(map(len, columns.values()))
     deep = {name: value for name, value in found.items() if np.ndim(value) == 3 and kind_of(value) == "numbers"}
     for name in (n for n in deep if any(column.startswith(f"{n}_") for column in stated)):

@@ -10,11 +10,7 @@ from pathlib import Path
 from data.columns.named import STAMP
 from data.csv_table import bytes_of, is_number
 from data.errors import DataError
-
-_OTHERS = {  # What files are that are no rows of text, by their first bytes
-    b"PK\x03\x04": "a spreadsheet or zip", b"\x89HDF": "HDF5 (named .h5 it is read as arrays)", b"PAR1": "Parquet",
-    b"<?xml": "XML, such as GPX or KML", b"<gpx": "GPX", b"SQLite": "a database", b"\x1f\x8b": "packed by gzip",
-}  # fmt: skip
+from data.formats.wrapped import echoed_names, unwrapped
 
 
 def read_lines(path: Path) -> tuple[list[tuple[int, str]], str, str]:
@@ -22,9 +18,7 @@ def read_lines(path: Path) -> tuple[list[tuple[int, str]], str, str]:
     titles that are left out. DataError for a file that cannot be read, or is no text.
     """
     file, word = file_and_word(path)
-    content = bytes_of(file, missing="no such file")
-    if other := next((what for start, what in _OTHERS.items() if content.startswith(start)), ""):
-        raise DataError.at(path, f"{other}, not a text file; save its rows as CSV")
+    content, word = unwrapped(path, bytes_of(file, missing="no such file"), word)
     try:
         text = content.decode("utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
     except UnicodeDecodeError:
@@ -65,6 +59,8 @@ def numbered_rows(text: str) -> list[tuple[int, str]]:
     """
     lines = _whole(list(enumerate(text.splitlines(), 1)))
     first = next((line for _, line in lines if line.strip() not in ("", "---")), "")
+    if header := echoed_names(first):
+        return [(0, header), *lines]
     if re.fullmatch(r"\s*[A-Za-z_]\w*:\s*\S+\s*", first) and (blocks := _blocks(lines)):
         return blocks
     if re.match(r"\s*[\[(][^\])]*[\])],?\s*$", first):  # rows in brackets

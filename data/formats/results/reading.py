@@ -37,7 +37,7 @@ PLACE = frozenset(("p", "pos", "position", "t", "trans", "translation", "transl"
 TURN = frozenset(("q", "quat", "quaternion", "rot", "rotation", "orientation", "ori", "att", "attitude"))
 AROUND = frozenset(("pose", "field", "gt", "true", "truth", "groundtruth", "est", "estimate", "estimated", "ref"))
 AROUND |= frozenset(("reference", "world", "map", "odom", "rs", "r", "header", "elapsed", "sim", "ros", "unix", "utc"))
-AROUND |= frozenset(("hat", "ekf", "ukf", "kf", "pf", "slam"))
+AROUND |= frozenset(("hat", "ekf", "ukf", "kf", "pf", "slam", "transform"))
 """Words that may stand around the name of a column."""
 TRUE = frozenset(("gt", "true", "truth", "groundtruth"))  # Those of the true path, where a row holds both
 REFERENCE, ESTIMATED = frozenset(("ref", "reference")), frozenset(("est", "estimate", "estimated"))

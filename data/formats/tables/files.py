@@ -12,7 +12,7 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from functools import partial
+from functools import cache, partial
 from itertools import groupby
 from pathlib import Path
 from typing import Self
@@ -26,7 +26,7 @@ from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import ELEMENT, columns_of, is_arrays
 from data.formats.messages import cut_end, kinds_of, parts_of, read_lines, whole_names
-from data.formats.results.reading import RATES, TRUE, role_of, topics_in, words_of
+from data.formats.results.reading import RATES, REFERENCE, TRUE, role_of, topics_in, words_of
 from data.inputs import IntArray
 from data.notice import Notice
 from data.origin import Origin
@@ -493,13 +493,21 @@ MORE: dict[str, tuple[str, ...]] = {
     "fixes": ("theta", "sx", "source"), "closures": ("sx", "source"),
 }  # fmt: skip
 """Quantities that a file may lack, by role; of sensors as of observations."""
+SPEED = ("v", "vel", "velocity", "speed")  # Words of the speed of a wheel
+WHEELS = {
+    side: tuple(name for word in (*SPEED, "tick", "ticks", "count") for name in (f"{side}{word}", f"{word}{side}"))
+    for side in ("left", "right")
+}
 ALSO = {
-    "v": ("velocity", "vel", "speed", "linearvelocity", "linvel"),
-    "omega": ("w", "yawrate", "angularvelocity", "angvel", "turnrate"),
-    "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg", "b"),
+    "v": ("velocity", "vel", "speed", "linearvelocity", "linearspeed", "linvel", "forwardvelocity", "forwardspeed"),
+    "omega": (
+        *("w", "wz", "yawrate", "angularvelocity", "angularvelocityz", "angularspeed", "angvel", "turnrate", "gyroz"),
+    ),
+    "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg", "b", "phi", "azimuth"),
     "dx": ("d", "ds", "deltas", "deltad", "deltax"), "dy": ("deltay",), "dtheta": ("deltatheta", "deltayaw", "dyaw"),
     "steering": ("steer", "steeringangle"), "dt": ("deltat", "deltatime", "timestep"),
-    "x": ("gpsx", "uwbx", "east", "easting"), "y": ("gpsy", "uwby", "north", "northing"),
+    **WHEELS,
+    "x": ("gpsx", "uwbx", "east", "easting"), "y": ("gpsy", "uwby", "north", "northing"), "theta": ("orientation",),
     **dict.fromkeys(("label", "id"), ("landmarkid", "beaconid", "markerid", "tagid")),
     "lat": ("latitude",), "lon": ("longitude", "lng"),
     "frame": ("poseid",), "frame1": ("fromid", "idfrom"), "frame2": ("toid", "idto"),
@@ -507,6 +515,48 @@ ALSO = {
 WITHIN = ("frame", "frame1", "frame2")
 """Other usual names of a quantity, in small letters only, beside those of results (`role_of`); read, with the unit at
 their end, where a file has exactly one of them."""
+
+
+TWIST = {
+    "v": ("linearx", "velx", "velocityx", "linearvelx"), "omega": ("angularz", "angularvelocityz", "angularvelz"),
+}  # fmt: skip
+"""Ends of names of velocities along and about an axis of the robot."""
+
+
+def _sideways(file: TextTable, column: int) -> bool:
+    """Whether the velocity beside one along x, along y, is not zero."""
+    stem, x, end = file.names[column].rpartition("x")
+    beside = f"{stem}y{end}"
+    return bool(x) and beside in file.names and any(_nonzero(row[file.names.index(beside)]) for row in file.rows)
+
+
+def _comes_again(file: TextTable, column: int) -> bool:
+    """Whether whole numbers of a column name things that are observed again and again."""
+    ids = [row[column] for row in file.rows if row[column]]
+    return all(map(is_number, ids)) and 3 * len({*ids}) <= len(ids)
+
+
+def _nonzero(field: str) -> bool:
+    return is_number(field) and abs(float(field)) > 0.0
+
+
+PARTS = {
+    "odometry": frozenset(("odom", "odometry", "wheel", "encoder", "enc", "cmd", "command", "control", "input")),
+    "observations": frozenset(("obs", "observation", "meas", "measurement", "detection")),
+    "fixes": frozenset(("gps", "gnss", "uwb", "rtk", "fix")),
+    "truth": TRUE | REFERENCE | {"ground", "vicon", "mocap", "optitrack", "actual"},
+}  # fmt: skip
+"""Words in the name of a column, in the singular, that tell the part it is of."""
+
+
+@cache
+def meaning(name: str) -> tuple[frozenset[str], str, str]:
+    """The parts that a column's name tells, and role and words of the name without the words that tell them."""
+    words, _ = words_of(name)
+    parts = frozenset(part for part, of in PARTS.items() if any(w in of or w.rstrip("s") in of for w in words))
+    own = frozenset[str]().union(*(PARTS[part] for part in parts))
+    rest = [w for w in words if w not in own and w.rstrip("s") not in own]
+    return parts, role_of("_".join(rest))[0], "".join(rest)
 
 
 @dataclass(eq=False)
@@ -517,7 +567,8 @@ class Columns:
     named a column so far; `read`: columns (file, name) that were read; `notes`: about rows that were left out;
     `asked`: questions that only the files raise; `datum`: latitude and longitude [deg] of the origin, of the first
     place in degrees; `origins`: of what the data tell, or nobody; `period`: s between rows of an odometry without
-    stamps; `intervals`: columns (file, number) that are named as stamps and are the time between rows.
+    stamps; `intervals`: columns (file, role, number) that are named as stamps, and are the time between rows, or of
+    other rows.
     """
 
     given: Mapping[str, str]
@@ -531,7 +582,7 @@ class Columns:
     datum: list[float] = field(default_factory=list)
     origins: dict[str, Origin] = field(default_factory=dict)
     period: float | None = None
-    intervals: set[tuple[Path, int]] = field(default_factory=set)
+    intervals: set[tuple[Path, str, int]] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         for key, name in self.given.items():
@@ -552,6 +603,21 @@ class Columns:
         """Whether a column of this role is stated for one of the quantities."""
         return any(f"{role}.{q}" in self.given for q in quantities)
 
+    def tells(self, file: TextTable, role: str) -> list[str]:
+        """Names of the columns of a place in a file whose names tell that they are of this role; none without both."""
+        for pair in (["x", "y"], [*EARTH.values()]) if not any("/" in name for name in topics_in(file.names)) else ():
+            columns = [self.find(file, role, q) for q in pair]
+            names = [file.names[c] for c in columns if c is not None]
+            parts = [meaning(name)[0] or ("fixes",) * (pair[0] == EARTH["x"]) for name in names]
+            if len(names) == len(pair) and all(role in of for of in parts):
+                return names
+        return []
+
+    def of_twist(self, file: TextTable, role: str) -> bool:
+        """Whether the speed of an odometry is the field of a message beside its pose."""
+        column = self.find(file, role, "v")
+        return column is not None and "".join(words_of(file.names[column])[0]).endswith(TWIST["v"])
+
     def take_series(self, file: TextTable, role: str) -> None:
         """Of arrays of several lengths: the stamps of a role are those as long as what it measures, which is noted."""
         usual = ("v", "omega", "theta", "dtheta", "left") if role == "odometry" else ("range", "bearing")
@@ -566,6 +632,8 @@ class Columns:
                 self.given = {**self.given, f"{role}.t": stamps[0]}
                 told = f"--columns {role}.t={stamps[0]}, the stamps of its {own[0][0]} rows"
                 self.notes.append(f"{file.path.name}: inferred: {told}")
+        if len(own) == 1 and not stamps and role != "odometry":
+            self.intervals |= {(file.path, role, c) for c, n in enumerate(file.names) if n not in own[0][1]}
 
     def find(self, file: TextTable, role: str, quantity: str) -> int | None:
         """Index of the column of a quantity in a file, or None; DataError if its stated column is missing."""
@@ -580,22 +648,31 @@ class Columns:
         if quantity in self.given and (column := file.find(self.given[quantity])) is not None:
             self.used.add(quantity)
             return column
-        if file.named and quantity in file.names and (file.path, file.names.index(quantity)) not in self.intervals:
-            return file.find("time" if quantity == "t" and self._headings(file) else quantity)
         usual = (quantity.replace("theta", "yaw"), quantity)
+        meant = {c: meaning(name) for c, name in enumerate(file.names) if file.named}
+        words = (quantity, *ALSO.get(quantity, ()))
+        more = (*words, "id") if quantity == "label" and role not in ROLES[2:] else words
+        also = [c for c, (parts, of, word) in meant.items() if role in parts and (of in usual or word in more)]
+        exact = file.named and quantity in file.names and not also
+        if exact and (file.path, role, file.names.index(quantity)) not in self.intervals:
+            return file.find("time" if quantity == "t" and self._headings(file) else quantity)
         read = {c: (role_of(name)[0], "".join(words_of(name)[0])) for c, name in enumerate(file.names) if file.named}
-        others = [c for c in read if role in ("odometry", "observations") and TRUE & {*words_of(file.names[c])[0]}]
+        others = [c for c in read if role in PARTS and meant[c][0] and role not in meant[c][0]]
         read = {c: found for c, found in read.items() if c not in others}
-        also = [c for c, (of, word) in read.items() if of in usual or word in (quantity, *ALSO.get(quantity, ()))]
+        also = also or [c for c, (of, word) in read.items() if of in usual or word in more]
+        also = [c for c in also if quantity != "label" or meant[c][2] != "id" or _comes_again(file, c)]
         if not also and quantity in WITHIN:  # of a field within structs; not the number of a struct that has its own
             last = {c: "".join(words_of(name.rpartition(".")[2])[0]) for c, name in enumerate(file.names) if file.named}
             also = [c for c, word in last.items() if word in ALSO[quantity]]
             also = also or [c for c, word in last.items() if word == (ELEMENT if quantity == "frame" else quantity)]
         if quantity == "t":  # not the time of recording
-            also = [c for c in also if (file.path, c) not in self.intervals]
+            also = [c for c in also if (file.path, role, c) not in self.intervals]
             also = [c for c in also if "header" in file.names[c]] or also
-        if len({read[c] for c in also}) == 1 and all(words_of(file.names[c])[1] for c in also):
+        if len({read.get(c) for c in also}) == 1 and all(words_of(file.names[c])[1] for c in also):
             also = also[:1]  # in another unit
+        if not also and quantity in TWIST and role in ("odometry", SECOND):
+            also = [c for c in read if read[c][1].endswith(TWIST[quantity])]
+            also = [c for c in also if not _sideways(file, c)]
         if len(also) != 1:
             return self.find(file, role, EARTH[quantity]) if quantity in EARTH and role in ON_EARTH else None
         note = f"{file.path.name}: {quantity} of {role} is read from {file.names[also[0]]}"
@@ -622,9 +699,11 @@ class Columns:
         self.notes += [note] * (bool(of_t and not of_time) and note not in self.notes)
         return bool(of_t and not of_time)
 
-    def taken(self, file: TextTable, role: str, quantities: Sequence[str], truth: TextTable | None) -> bool:
-        """Whether the truth is the same table, and has the columns of these quantities of a role for its own."""
-        return truth is file and all(self.find(file, role, q) == self.find(file, "truth", q) for q in quantities)
+    def taken(
+        self, file: TextTable, role: str, quantities: Sequence[str], other: TextTable | None, of: str = "truth"
+    ) -> bool:
+        """Whether another part is the same table, and has the columns of these quantities of a role for its own."""
+        return other is file and all(self.find(file, role, q) == self.find(file, of, q) for q in quantities)
 
     def require(self, file: TextTable, role: str, quantities: Sequence[str]) -> list[int]:
         """The columns of quantities that a file must have."""

@@ -15,7 +15,9 @@ from data.formats.results.reading import only_reading
 from data.formats.tables.files import TextTable
 from data.se2 import Array
 
-WORDS = {"odometry": ("odo", "control", "input"), "truth": ("tru", "real", "gt")}
+WORDS = {
+    "odometry": ("odo", "control", "input"), "truth": ("tru", "real", "gt"), "map": ("map", "land", "lm", "beacon"),
+}  # fmt: skip
 """Parts of names of matrices, of which one is taken among several that might be a role's."""
 LARGEST = 3.0 * np.pi  # rad, a direction of half a turn less a heading of one: bearings that were not wrapped
 SPANS = (1, 4, 16)  # Observations of a landmark between two that are compared
@@ -56,6 +58,8 @@ def _names(rows: Sequence[tuple[str, ...]], role: str) -> tuple[str, ...]:
     if role == "map":
         ids = values[:, 0]
         whole = values.shape[1] == 3 and (ids == np.abs(np.round(ids))).all()
+        if values.shape[1] == 2:
+            return "x", "y"
         return ("id", "x", "y") if whole and len(np.unique(ids)) == len(ids) else ()
     last = np.append(np.diff(values[:, 0]) != 0.0, True)  # of equal stamps
     path = only_reading([row for row, taken in zip(rows, last.tolist(), strict=True) if taken])

@@ -30,7 +30,7 @@ from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Obse
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, gaps_said
 from data.origin import Origin, Origins
-from data.pose_measurements import FAR, LOOSE, Closures, Fixes, FixKind, FixSource, onto_fixes
+from data.pose_measurements import FAR, LOOSE, Closures, Fixes, FixKind, FixSource, Start, onto_fixes
 from data.questions.witnesses import way_share
 from data.se2 import Array, BoolArray
 from data.sensors import RangeBearing, Sensor
@@ -409,8 +409,11 @@ def read_log(name: str, wanted: Wanted) -> Recording:
             have = unknown(sensor.sees, sorted(kinds)) if kinds else "not in the map, which has no kinds"
             text = f"{sensor.label}={sensor.sees}" if sensor.label else sensor.sees
             raise UsageError(f"--sees {text}: {have}; column {KIND} of the map names them (--columns map.{KIND}=NAME)")
+    onto = None
+    if wanted.prior is None and pose is None and known is not None and "label" in labels:
+        onto = _onto_map(known, sensors, observed, labels["label"], increments)
     inputs = Inputs(
-        prior=_prior(wanted, pose, known, increments, fixes), time=time,
+        prior=_prior(wanted, pose, known, increments, fixes, onto), time=time,
         increments=replace(increments, covariance=covariance), observations=observed, sensor=sensors[0],
         sensors=sensors if len(sensors) > 1 else (), map=known, time_is_index=not odometry.stamped,
         covariance_floor=FLOOR, floored=floored, fixes=fixes, closures=together(measured), scans=scans,
@@ -696,10 +699,45 @@ MOVED = 1e-3  # m between two fixes from which equal ones are held
 CONCENTRATED, ODD = 0.9, 0.5  # Length of the mean unit vector of angles that agree, at least, and of others, at most
 
 
+NEAR, SURE = 2.0, 3.0
+"""m, way from the start within which observations tell it; largest deviation of these, in sigma."""
+
+
+def _onto_map(
+    known: LandmarkMap, sensors: Sequence[Sensor], seen: Observations, label: IntArray, moved: Increments
+) -> Start | None:
+    """The first pose, along whose increments the first labelled observations (M,) fit the map; None: they do not."""
+    path = se2.dead_reckoned(np.zeros(3), moved.mean)
+    which = np.zeros(len(label), np.int64) if seen.sensor is None else seen.sensor
+    locates = np.array([sensor.locates for sensor in sensors])[which]
+    early = np.hypot(*np.diff(path[:, :2], axis=0, prepend=0.0).T).cumsum()[seen.frame] <= NEAR
+    rows = np.flatnonzero(early & locates & np.isin(label, known.id))
+    if len(np.unique(label[rows])) < 2:
+        return None
+    each = [sensors[which[k]].body_points(seen.z[k : k + 1], seen.R[k : k + 1]) for k in rows.tolist()]
+    place = se2.transform_points(path[seen.frame[rows]], np.concatenate([point for point, _ in each]))
+    by = np.argsort(known.id)
+    right = known.xy[by[np.searchsorted(known.id[by], label[rows])]]
+    pose = se2.rigid_fit(place, right)
+    off = se2.transform_points(np.tile(pose, (len(rows), 1)), place) - right
+    sigma = math.sqrt(0.5 * float(np.mean([np.trace(P[0]) for _, P in each])))
+    spread = math.sqrt(float(np.var(right, axis=0).sum()))
+    deviation = math.sqrt(0.5 * float((off**2).sum(axis=1).mean()))
+    if deviation > SURE * sigma or spread < SURE * sigma:
+        return None
+    loose = SURE * sigma  # the same observations count again, then
+    return Start(pose, np.array([loose, loose, loose / spread]), "observations to the map")
+
+
 def _prior(
-    wanted: Wanted, pose: Array | None, known: LandmarkMap | None, moved: Increments, fixes: Fixes | None
-) -> Prior:
-    """Belief about the first pose."""
+    wanted: Wanted, pose: Array | None, known: LandmarkMap | None, moved: Increments, fixes: Fixes | None,
+    onto: Start | None,
+) -> Prior:  # fmt: skip
+    """Belief about the first pose; `onto`: that which takes observations onto the map."""
+    if onto is not None:
+        wanted.columns.origins["prior"] = Origin.INFERRED
+        wanted.columns.notes.append(onto.said())
+        return Prior(onto.pose, np.diag(onto.sigma**2))
     free = wanted.prior is None and pose is None and known is None
     start = onto_fixes(fixes, moved.mean, moved.covariance) if free and fixes is not None else None
     if start is not None and fixes is not None and _agree(fixes, moved, start.pose):

@@ -123,6 +123,8 @@ def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | Non
     stated = [k for k in found if columns.stated(role, KINDS[k])]
     if len(found) > 1 and not stated and columns.taken(file, role, ("x", "y"), truth):
         found.remove("poses")
+    if {"velocities", "poses"} <= {*found} and not stated and columns.of_twist(file, role):
+        found.remove("velocities")  # of which a message's pose is made
     named = stated or [k for k in found if {*KINDS[k]} <= {*file.names}]
     if len(named or found) == 1:
         return (named or found)[0]
@@ -265,7 +267,7 @@ def _intervals(file: TextTable, columns: Columns, role: str) -> None:
     if not (back > SOME and usual < STEPS[1] and each.min() > 0.0 and each.max() < BEYOND * usual):
         return
     name = file.names[column]
-    columns.intervals.add((file.path, column))
+    columns.intervals |= {(file.path, part, column) for part in columns.roles}
     columns.given = {**columns.given, f"{role}.dt": name}
     columns.notes.append(f"{file.path.name}: inferred: --columns {role}.dt={name}, as {name} does not ascend")
 

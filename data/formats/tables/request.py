@@ -22,6 +22,7 @@ from data.csv_table import is_name
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.messages import file_and_word
 from data.formats.recordings.laser import TravelNoise
+from data.formats.results.reading import words_of
 from data.formats.tables import files as table_files
 from data.formats.tables.files import POSE, ROLES, SCANS, SECOND, STAMPED, STARRED, Columns, Given, TextTable, Units
 from data.formats.tables.layout import by_layout, seen_by_layout
@@ -37,6 +38,7 @@ from data.toml_table import load_toml
 SENSOR, OBSERVATIONS = "sensor", "observations"
 LOOKS = {"descriptor": "descriptor-sigma", "class": "class-error"}
 """Columns of appearance, and the flag that states the noise of each; without it the column is not read."""
+MEASURES = {"fixes", "closures", SCANS, SECOND}  # Parts beside which a log needs no observations
 OF_SENSORS = ("observation-sigma", "sensor-pose", "max-range", "view", "sees", *LOOKS.values())  # Of each sensor
 XY, PLACE = ("length",) * 2, "x, y [m], angle [rad or as in 90deg]"
 ANY, FROM_ZERO, ABOVE_ZERO = None, True, False
@@ -141,10 +143,13 @@ def sensors_of(given: Given, files: Mapping[str, TextTable], columns: Columns, k
     for flag, found in texts.items():
         if not roles and flag not in (LENGTH, *["sensor-pose"] * (SCANS in files)):
             raise UsageError(f"--{flag} {found.popitem()[1]}: no observations; --{OBSERVATIONS} FILE names them")
-    truth = files.get("truth")
-    taken = {role for role in roles if (kind == "poses" and files[role] is files["odometry"])
-             or columns.taken(files[role], role, ("x", "y"), truth)}  # fmt: skip
-    free = truth is not None and not names and len(texts) == 1 and files.get(OBSERVATIONS) is files["odometry"]
+    taken = {
+        role
+        for role in roles
+        if (kind == "poses" and files[role] is files["odometry"])
+        or any(columns.taken(files[role], role, ("x", "y"), files.get(of), of) for of in ("truth", "fixes"))
+    }
+    free = "truth" in files and not names and len(texts) == 1 and files.get(OBSERVATIONS) is files["odometry"]
     each = (_sensor(r, r if names else "", texts, files[r], columns, r in taken, free=free) for r in roles)
     return tuple(of for of in each if of is not None)
 
@@ -174,8 +179,8 @@ def _sensor(
         where += f"; of a column for each landmark as in --columns {own}range={star}" * bool(star)
         what += f"; name them as in --columns {own}range={a},{own}bearing={b}, {where}"
         if free:
-            told = f"observations, if it has some, are named as in --columns {own}range={a},{own}bearing={b}"
-            columns.notes.append(f"{file.path.name}: odometry and truth alone; {told}: {file.described()}")
+            told = f"if it has some, name them as in --columns {own}range={a},{own}bearing={b}"
+            columns.notes.append(f"{file.path.name}: without observations; {told}: {file.described()}")
             return None
         raise DataError.at(file.path, what)
     sees = of.get("sees") or ""
@@ -346,6 +351,18 @@ def settle(given: Given) -> Wanted:
         read |= {path: table_files.read_text(path, named.values(), count, seen=seen)} if path not in read else {}
     texts = {role: read[path] for role, path in files.items()}
     columns.notes += [f"{path.name}: {table.cut}" for path, table in read.items() if table.cut]
+    for role in (r for r in ROLES[1:] if r not in texts):  # further parts in the file of the odometry
+        own = [n for key, n in named.items() if key.startswith(f"{role}.") and texts["odometry"].find(n) is not None]
+        if not own and role in ("truth", "fixes") and texts["odometry"].named:
+            own = columns.quiet.tells(texts["odometry"], role)
+        if own:
+            files[role], texts[role] = files["odometry"], texts["odometry"]
+            columns.notes.append(f"inferred: --{role} {files[role]}, of its columns {', '.join(own)}")
+    if not several and OBSERVATIONS not in texts:
+        there = any(key in STARRED[:2] or key.startswith(f"{OBSERVATIONS}.") for key in named)
+        there |= bool(table_files.stars(texts["odometry"]))
+        if there or not MEASURES & {*files} or columns.quiet.has(texts["odometry"], OBSERVATIONS, STARRED[:2]):
+            files[OBSERVATIONS], texts[OBSERVATIONS] = files["odometry"], texts["odometry"]
     for role, table in texts.items():
         columns.take_series(table, role)
     source = file_and_word(files["odometry"])
@@ -387,6 +404,12 @@ def settle(given: Given) -> Wanted:
                 columns.notes.append(f"inferred: columns {', '.join(stars.values())} are {told}")
             taken = {*stars.values(), *(stated[q] for q in deep)}
             columns.given = {k: n for k, n in columns.given.items() if n not in taken}
+    if kind == "ticks" and not {"ticks", "odometry-kind"} & {*given}:
+        name = texts["odometry"].names[columns.require(texts["odometry"], "odometry", ("left",))[0]]
+        if {*words_of(name)[0]} & {*table_files.SPEED}:
+            given = {"metres-per-tick": "1", **given, "ticks": "rate"}
+            told = f"as {name} is a speed (in rad/s --metres-per-tick is the wheel's radius)"
+            columns.notes.append(f"inferred: --ticks rate --metres-per-tick {given['metres-per-tick']}, {told}")
     for flag in ("hold", "integrate"):
         if flag in given and kind not in STAMPED_KINDS and (flag, given.get("ticks")) != ("hold", "rate"):
             raise UsageError(f"--{flag} {given[flag]}: for velocities; the odometry has {kind}")

@@ -32,7 +32,7 @@ def table(convert):
         (GOOD.replace("omega", "gyro"), SIGMAS, "no odometry: columns t, v, gyro"),
         (GOOD.replace("omega", "v"), SIGMAS, "columns 2 and 3 are named 'v'; name one by its number"),
         (GOOD.partition("\n")[2], SIGMAS, "columns 1 to 5, without names"),
-        (b"PK\x03\x04\x00\x00", SIGMAS, "a spreadsheet or zip, not a text file; save its rows as CSV"),
+        (b"PK\x03\x04\x00\x00", SIGMAS, "cannot be unpacked: File is not a zip file"),
         ("t,v,omega,range,bearing\n0,1,0,2,0.1\n1e9,1,0,2,0.2\n", SIGMAS, "--unit time=ns"),
     ],
 )  # fmt: skip

@@ -365,7 +365,7 @@ def test_odometry_and_truth_in_one_row_of_several_runs(convert, unread):
     bare = text.replace(",range,bearing", ",distance_m,way")  # names that nobody states are no observations
     log, said = convert({"b.csv": bare}, "table", "b.csv:run=1", "out", "--truth", "b.csv:run=1")
     assert (len(log.recorded), len(log.recorded.observations.z)) == (9, 0), "a frame for each row"
-    assert "odometry and truth alone; observations, if it has some, are named as in --columns range=DIST" in said
+    assert "without observations; if it has some, name them as in --columns range=DIST" in said
     assert "odometry is v and omega" in convert({"a.csv": text}, "table", "a.csv:run=1", "out")[1]
 
 
