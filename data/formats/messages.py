@@ -39,6 +39,10 @@ def _tidied(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], str]:
     mark = next((m for m in ";\t|," if top and m in top[-1][1]), None)
     rows = [[f.strip(' "') for f in line.strip().rstrip(mark).split(mark)] for _, line in top]
     first = next((k for k, row in enumerate(rows) if 2 * sum(map(is_number, row)) >= len(row)), 0)
+    if first > 1 and len(rows[first - 2]) == len(rows[first]) == len(units := rows[first - 1]) and _are_units(units):
+        named = [f"{name} [{u.strip('[]()')}]" if u else name for name, u in zip(rows[first - 2], units, strict=True)]
+        whole = [(top[first - 2][0], (mark or " ").join(named)) if pair == top[first - 2] else pair for pair in lines]
+        return _tidied([pair for pair in whole if pair != top[first - 1]])
     wide = [len(row) == len(rows[first]) for row in rows]
     if first < 1 or any(wide[: first - 1]) or not all(wide[first - 1 : first + 2]):
         return lines, ""
@@ -47,6 +51,15 @@ def _tidied(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], str]:
     return [pair for pair in lines if pair == top[first - 1] or pair[1] not in again], said
 
 
+def _are_units(fields: Sequence[str]) -> bool:
+    """Whether the fields below names are their units, such as (sec) and [m], some of them blank."""
+    return any(fields) and all(re.fullmatch(UNIT, f, re.IGNORECASE) for f in fields)
+
+
+UNIT = (
+    r"[\[(]?\s*(|-|%|[mun]?s|[mun]?sec|seconds?|[cmk]?m|met(er|re)s?|(deg|degrees?|°|rad|radians?|[cmk]?m|g)"
+    r"(/s(\^?2|²|/s)?)?|km/h|hz|ticks?|counts?|n/?a)\s*[\])]?"
+)
 ALONE, NOTHING = r"\[([-+.\deE]+)\]", r"(?<![^\s,;])(?:N/A|n/a|None|null|NULL|-)(?=$|[\s,;])"
 LEADING = 30  # First lines among which the first row of numbers is looked for
 

@@ -77,7 +77,8 @@ class TextTable:
             return self.names.index(name)
         if name.isdecimal() and 1 <= int(name) <= len(self.names):
             return int(name) - 1
-        return None
+        alike = [k for k, own in enumerate(self.names) if self.named and words_of(own)[0] == words_of(name)[0] != []]
+        return alike[0] if len(alike) == 1 else None  # but for its unit, and capitals
 
     def described(self) -> str:
         """The columns in a message."""
@@ -568,7 +569,7 @@ class Columns:
     `asked`: questions that only the files raise; `datum`: latitude and longitude [deg] of the origin, of the first
     place in degrees; `origins`: of what the data tell, or nobody; `period`: s between rows of an odometry without
     stamps; `intervals`: columns (file, role, number) that are named as stamps, and are the time between rows, or of
-    other rows.
+    other rows; `words`: numbers of landmarks that are named by words.
     """
 
     given: Mapping[str, str]
@@ -583,6 +584,7 @@ class Columns:
     origins: dict[str, Origin] = field(default_factory=dict)
     period: float | None = None
     intervals: set[tuple[Path, str, int]] = field(default_factory=set)
+    words: dict[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for key, name in self.given.items():
@@ -597,7 +599,9 @@ class Columns:
     def quiet(self) -> Self:
         """The same, for a look at the files that leaves nothing behind."""
         units = replace(self.units, given=dict(self.units.given))
-        return replace(self, units=units, used=set(), read=set(), notes=[], asked=[], datum=[], origins={})
+        return replace(
+            self, units=units, used=set(), read=set(), notes=[], asked=[], datum=[], origins={}, words={**self.words}
+        )
 
     def stated(self, role: str, quantities: Collection[str]) -> bool:
         """Whether a column of this role is stated for one of the quantities."""
@@ -743,6 +747,27 @@ class Columns:
         values = file.numbers(self.require(file, role, ("t",))[0], keep, self.units.dates(role))
         return values * self.units.factor(role, "t") + self.offsets.get(role, 0.0)
 
+    def _by_word(self, file: TextTable, column: int, keep: BoolArray) -> Array | None:
+        """Numbers of landmarks (K,) that a column names by words, NaN where blank; None where all are numbers. Of words
+        that end with a number of their own it is that, else they are numbered by their first use, which is noted.
+        """
+        texts = file.text(column, keep)
+        if not self.words and all(is_number(text) for text in texts if text):
+            return None
+        words = [text for text in dict.fromkeys(texts) if text and text.lower() != "nan"]
+        ends = [re.fullmatch(r"(.*?)(\d{1,6})", word) for word in words]
+        if not self.words and all(ends) and len({end[1] for end in ends if end}) == 1:
+            known = {end[0]: int(end[2]) for end in ends if end}
+        else:
+            known = self.words
+            for word in words:
+                known.setdefault(word, len(known))
+        shown = ", ".join(f"{word} is {known[word]}" for word in words[:NAMED])
+        self.notes.append(
+            f"{file.path.name}: landmarks of {file.names[column]}: {shown}{', ...' * (len(words) > NAMED)}"
+        )
+        return np.array([float(known.get(text, np.nan)) for text in texts])
+
     def turned(self, file: TextTable, role: str, time: Array, pose: Array) -> Array:
         """Poses (K, 3) in rad; headings that follow the course as degrees only are converted, others asked about."""
         key = f"{role}.theta"
@@ -812,6 +837,9 @@ class Columns:
         values: dict[str, Array] = {}
         for q, c in columns.items():
             dates = self.units.dates(role) if q in STAMPS else ""
+            if q in ("id", *IDS) and (numbered := self._by_word(file, c, keep)) is not None:
+                values[q] = numbered
+                continue
             values[q] = file.numbers(c, keep, dates) * self.units.factor(role, EARTH[q] if q in earth else q)
         for q, c in columns.items():
             if QUANTITIES[q] not in ("", "time") and q[0] != "s" and (found := unmeasured(values[q])) is not None:
