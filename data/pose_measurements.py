@@ -251,12 +251,34 @@ def onto_fixes(fixes: Fixes, mean: Array, covariance: Array) -> Start | None:
     lever = np.array([(*source.lever, 0.0) for source in fixes.sources])[fixes.source[rows]]
     path = se2.compose(path[fixes.frame[rows]], lever)[:, :2]
     sigma = fixes.placed[2]
+    z = fixes.z[rows, :2]
+    fits = []
+    for first in range(0, len(rows), 1 + len(rows) // TRIED):  # a receiver that starts cold errs at first
+        if (last := _far(path[first:], way[first:], sigma)) is None:
+            break
+        part = slice(first, first + last + 1)
+        pose = se2.rigid_fit(path[part], z[part])
+        off = se2.transform_points(np.tile(pose, (last + 1, 1)), path[part]) - z[part]
+        fits.append((pose, first + last, float(np.sqrt((off**2).mean())), first))
+        if fits[-1][2] <= ODD * sigma:
+            break
+    if not fits:
+        return None
+    pose, last, error, first = fits[-1] if fits[-1][2] <= ODD * sigma else fits[0]
+    drift = float(covariance[: fixes.frame[rows[last]] + 1, 2, 2].sum())
+    turn = math.sqrt(LOOSE**2 + drift / 3.0)  # a third of it is in the mean of the way
+    place = max(sigma, error) + turn * float(np.hypot(*path[first])) * (first > 0)
+    return Start(pose, np.array([place, place, turn]))
+
+
+TRIED, ODD = 40, 3.0  # Most starts that are tried; root mean square of a fit over the sigma of fixes that excludes it
+
+
+def _far(path: Array, way: Array, sigma: float) -> int | None:
+    """The first row of places (M, 2) until which these tell the heading of fixes with that sigma; None: none."""
     new = np.diff(way // max(FAR, sigma), prepend=-1.0) > 0.0  # errors at one place are alike: they count once
+    new[0] = True
     count = np.maximum(np.cumsum(new), 1)
     spread = np.cumsum(new[:, None] * path**2, axis=0) - np.cumsum(new[:, None] * path, axis=0) ** 2 / count[:, None]
     far = np.flatnonzero((spread.sum(axis=1) > (CLEAR * sigma) ** 2) & (np.hypot(*(path - path[0]).T) > FAR))
-    if not len(far):
-        return None
-    drift = float(covariance[: fixes.frame[rows[far[0]]] + 1, 2, 2].sum())
-    deviation = np.array([sigma, sigma, math.sqrt(LOOSE**2 + drift / 3.0)])  # a third of it is in the mean of the way
-    return Start(se2.rigid_fit(path[: far[0] + 1], fixes.z[rows[: far[0] + 1], :2]), deviation)
+    return int(far[0]) if len(far) else None

@@ -185,18 +185,22 @@ def with_word(lines: list[tuple[int, str]], word: str) -> list[tuple[int, str]]:
     """The numbered lines with a field `word`, or by COLUMN=WORD with that word in that column; of a table with topics
     as columns those of a topic; of lines that begin with `word:` what is behind it; "": all.
     """
-    keyed = [(i, line.strip()) for i, line in lines if word and line.strip().startswith(f"{word}:")]
+    if not word:
+        return lines
+    keyed = [(i, line.strip()) for i, line in lines if line.strip().startswith(f"{word}:")]
     if keyed:
         return [(i, line[len(word) + 1 :]) for i, line in keyed]
-    if word and (below := _of_topic(lines, word.strip("/"))):
+    if below := _of_topic(lines, word.strip("/")):
         return below
     fields = [re.split(r"\s*[,;\t]\s*|\s+", line.strip()) for _, line in lines] if "=" in word else []
     name, _, value = word.partition("=")
     if (top := next((k for k, row in enumerate(fields) if name in row), None)) is not None:
         j = fields[top].index(name)
         return [lines[top], *(pair for pair, row in zip(lines, fields, strict=True) if row[j : j + 1] == [value])]
-    kept = [(i, line) for i, line in lines if not word or word in re.split(r"[\s,;]+", line.strip())]
-    head = [pair for pair in lines if pair[1].strip()][:1] if word and kept else []
+    rows = [re.split(r"[\s,;]+", line.strip()) for _, line in lines]
+    number = is_number(word) and any(row[0] == word for row in rows)  # of the kind of a row, which stands first
+    kept = [pair for pair, row in zip(lines, rows, strict=True) if word in (row[:1] if number else row)]
+    head = [pair for pair in lines if pair[1].strip()][:1] if kept else []
     return [*(pair for pair in head if pair[0] < kept[0][0] and not re.search(r"\d", pair[1])), *kept]
 
 

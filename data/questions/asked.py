@@ -56,6 +56,7 @@ def stamps(log: Log) -> list[Notice]:
         return []
     gap = float(np.median(np.diff(inputs.time)))
     span = float(inputs.time[-1] - inputs.time[0])
+    gap = max(gap, span / len(inputs)) if gap < FAST_FRAMES else gap  # of messages that come in bursts
     unit, blind = "", None
     if gap > SLOW_FRAMES:
         unit = next(name for name, limit in (("ms", 1e4), ("us", 1e7), ("ns", np.inf)) if gap < limit)

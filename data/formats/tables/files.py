@@ -204,6 +204,13 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
         rows = [(row[0], *row[k : k + each]) for row in rows for k in range(1, len(row), each)]
         told = f"inferred: a row is a stamp and any number of observations of {each} numbers each"
         cut = f"{cut}; " * bool(cut) + told
+    if (
+        names is not None
+        and len(rows[0]) > len(names) + SLOTS
+        and len(listed := [n for n in names if n in LISTED]) == 1
+    ):
+        at, count = names.index(listed[0]), len(rows[0]) - len(names) + 1  # one name for all of a list
+        names = (*names[:at], *(f"{listed[0]}_{k}" for k in range(1, count + 1)), *names[at + 1 :])
     width = len(rows[0]) if names is None else len(names)
     early = ends_early(map(len, rows), width, 1) if names is not None and separator != " " else set()
     if early:
@@ -367,6 +374,7 @@ def _observed(row: Sequence[str], of: Mapping[str, int]) -> bool:
     return there and all(map(math.isfinite, values.values()))
 
 
+LISTED = ("ranges", "range", "scan", "distances")  # Names that may stand for all beams of a scan
 SLOTS = 3  # Least different numbers of filled columns, from the left always, which no landmarks in sight would make
 STARRED, IDS = ("range", "bearing", "x", "y"), ("label", "true_id")
 """Quantities of observations that may have a column for each landmark, or for each of several in a row, with ids."""

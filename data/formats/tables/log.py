@@ -84,6 +84,8 @@ def _instants(
     t, of = (wanted.columns.find(file, role, q) for q in (stamps[0], rows[0]))
     unstamped = t is not None and of is not None and any(row[of] and not row[t] for row in file.rows)
     stamped = odometry.stamped and t is not None and not unstamped
+    if t is None and of is None and role == "fixes" and file is wanted.texts["odometry"]:
+        return (), False  # in the rows of the odometry
     if not stamped and of is None:
         wanted.columns.require(file, role, (stamps if odometry.stamped else rows)[:1])
     return (stamps, True) if stamped else (rows, False)
@@ -141,7 +143,9 @@ def read_fixes(file: TextTable, wanted: Wanted, odometry: Odometry, notes: list[
     if default is None and not table.together(SIGMAS[:2]) and "stheta" not in table:
         default, columns.origins["fix_noise"] = np.array(FIX_SIGMA), Origin.ASSUMED
         notes.append("assumed: --fix-sigma 1m,1m,5deg")
-    found = _measured(role, table, file.path, _at(table, keys, stamped, odometry, notes), stamped, z, default)
+    at = odometry.rows[np.searchsorted(file.line, table.line)][:, None]
+    at = _at(table, keys, stamped, odometry, notes) if keys else at
+    found = _measured(role, table, file.path, at, stamped, z, default)
     filled = ~np.isnan(z).all(axis=1)
     if not filled.all():
         notes.append(f"{file.path.name}: {counted(int((~filled).sum()), 'row')} without a fix")

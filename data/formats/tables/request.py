@@ -434,7 +434,7 @@ def settle(given: Given) -> Wanted:
         scanner=_scanner(given),
         mount=numbers_of({**given, "sensor-pose": poses.get(SCANS, poses.get(""))}, "sensor-pose"),
         assumed=("odometry_noise",) * ("odometry-sigma" not in given) + ("prior",) * starts,
-        **_of_fixes(given, files),
+        **_of_fixes(given, files, texts, columns.quiet),
     )  # fmt: skip
 
 
@@ -448,13 +448,19 @@ def _kind(given: Given, texts: Mapping[str, TextTable], columns: Columns, role: 
     return str(kind)
 
 
-def _of_fixes(given: Given, files: Mapping[str, Path]) -> dict[str, Any]:
-    """What is stated of fixes and closures."""
+def _of_fixes(
+    given: Given, files: Mapping[str, Path], texts: Mapping[str, TextTable], columns: Columns
+) -> dict[str, Any]:
+    """What is stated of fixes and closures; one sigma is that of x and y, unless it is an angle or there are none."""
     for role, flags in (("fixes", ("fix-sigma", "fix-lever", "fix-rotation")), ("closures", ("closure-sigma",))):
         for flag in flags:
             if flag in given and role not in files:
                 raise UsageError(f"--{flag} {given[flag]}: there are none; --{role} FILE names them")
     found: dict[str, Any] = {}
+    text = str(given.get("fix-sigma", ""))
+    if len(table_files.words(text)) == 1 and not re.search("deg|rad|rev", text):
+        place = columns.find(texts["fixes"], "fixes", "x")
+        given = {**given, "fix-sigma": text if place is None else f"{text},{text}"}
     if "fix-sigma" in given:
         entries = {1: [2], 2: [0, 1]}.get(len(table_files.words(given["fix-sigma"])), [0, 1, 2])
         sigma = np.full(3, np.nan)
