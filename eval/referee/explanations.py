@@ -183,7 +183,12 @@ def _linear(e: Evidence, taken: Sequence[str]) -> list[Explanation]:
         i = int(np.argmax(np.abs(sizes[:2]))) if finding.kind == "jump" else 0
         length = finding.kind in ("jump", "displaced") or finding.name.rpartition("/")[2] in LENGTHS_OF
         size = float(np.hypot(*sizes[:2])) if length and len(own) > 1 else float(sizes[i])
-        named, contains = replace(finding, size=size, error=float(errors[i]), gain=gain), tuple[str, ...]()
+        error = float(errors[i])
+        if finding.kind == "displaced":
+            if not _nearer(e, finding.name, sizes):
+                continue  # across the line of sight, as of ranges from one place
+            error = float(np.hypot(*(sizes * errors))) / size  # along the displacement
+        named, contains = replace(finding, size=size, error=error, gain=gain), tuple[str, ...]()
         if finding.name in vectors:
             parts = tuple(
                 _named(names, s, error)
@@ -311,6 +316,16 @@ def _displaced(e: Evidence) -> list[tuple[Finding, tuple[Effect, ...], int]]:
             columns.append(Effect(f"landmark_{landmark}_{i}", observations=column))
         found.append((Finding(NOISE, "displaced", str(e.used.identity[landmark]), math.nan), tuple(columns), len(sums)))
     return found
+
+
+def _nearer(e: Evidence, name: str, by: Array) -> bool:
+    """Whether the observations of a landmark fit better with it moved by (2,), beyond linear terms, too."""
+    o, k = e.inputs.observations, int(np.flatnonzero(e.used.identity == int(name))[0])
+    own = np.flatnonzero(e.used.number == k)
+    sensor, path, place = e.inputs.sensor_of(own), e.path[o.frame[own]], e.used.landmarks[k]
+    off = [sensor.residual(o.z[own], sensor.predict(path, np.tile(at, (len(own), 1)))) for at in (place, place + by)]
+    before, after = (np.einsum("ki,kij,kj->", d, np.linalg.inv(o.R[own]), d) for d in off)
+    return bool(after < before)
 
 
 # noises
