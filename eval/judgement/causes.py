@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from data.inputs import Inputs
 from data.notice import Code
-from data.sensors import RangeBearing
+from data.sensors import Bearing, Range, RangeBearing
 from eval.referee.attribution import ASSOCIATIONS, CONTRADICTED, ESTIMATOR, NOTHING, UNLISTED, UNTELLABLE, Finding
 from eval.referee.score import Trial
 from eval.referee.sources import source_in
@@ -57,7 +57,7 @@ class Terms:
 def terms_of(inputs: Inputs) -> Terms:
     """The terms of a log."""
     observed = len(inputs.observations.frame) > 0
-    return Terms(isinstance(inputs.sensor, RangeBearing), not inputs.time_is_index, observed)
+    return Terms(isinstance(inputs.sensor, RangeBearing | Range | Bearing), not inputs.time_is_index, observed)
 
 
 def explanations(findings: Sequence[Finding], terms: Terms) -> tuple[Finding, ...]:
