@@ -190,7 +190,7 @@ def with_word(lines: list[tuple[int, str]], word: str) -> list[tuple[int, str]]:
     keyed = [(i, line.strip()) for i, line in lines if line.strip().startswith(f"{word}:")]
     if keyed:
         return [(i, line[len(word) + 1 :]) for i, line in keyed]
-    if below := _of_topic(lines, word.strip("/")):
+    if not is_number(word) and (below := _of_topic(lines, word.strip("/"))):
         return below
     fields = [re.split(r"\s*[,;\t]\s*|\s+", line.strip()) for _, line in lines] if "=" in word else []
     name, _, value = word.partition("=")

@@ -204,13 +204,11 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
         rows = [(row[0], *row[k : k + each]) for row in rows for k in range(1, len(row), each)]
         told = f"inferred: a row is a stamp and any number of observations of {each} numbers each"
         cut = f"{cut}; " * bool(cut) + told
-    if (
-        names is not None
-        and len(rows[0]) > len(names) + SLOTS
-        and len(listed := [n for n in names if n in LISTED]) == 1
-    ):
-        at, count = names.index(listed[0]), len(rows[0]) - len(names) + 1  # one name for all of a list
-        names = (*names[:at], *(f"{listed[0]}_{k}" for k in range(1, count + 1)), *names[at + 1 :])
+    if names and len(names) + SLOTS < len(rows[0]):
+        names = names if names[-1] else names[:-1]
+        if len(listed := [n for n in names if n in LISTED]) == 1:  # one name for all of a list
+            at, count = names.index(listed[0]), len(rows[0]) - len(names) + 1
+            names = (*names[:at], *(f"{listed[0]}_{k}" for k in range(1, count + 1)), *names[at + 1 :])
     width = len(rows[0]) if names is None else len(names)
     early = ends_early(map(len, rows), width, 1) if names is not None and separator != " " else set()
     if early:

@@ -107,6 +107,28 @@ def seen_by_layout(
     return None
 
 
+def landmarks_in_rows(file: TextTable) -> tuple[TextTable, TextTable, str] | None:
+    """Observations with labels, a map, and what says so, of a table whose rows hold the place of what is observed, in
+    columns such as anchor_x and anchor_y, or ax and ay; None without such a pair that few places fill.
+    """
+    pairs = [(j, f"{name[:-1]}y") for j, name in enumerate(file.names) if re.fullmatch(PLACED, name, re.IGNORECASE)]
+    found = [(j, file.names.index(y)) for j, y in pairs if y in file.names]
+    if not file.named or len(found) != 1:
+        return None
+    (j, k), label = found[0], dict[tuple[str, str], int]()
+    each = [label.setdefault((row[j], row[k]), len(label)) for row in file.rows]
+    if not 1 < len(label) <= len(each) / AGAIN or not all(is_number(f) for place in label for f in place):
+        return None
+    seen = tuple((*row, str(n)) for row, n in zip(file.rows, each, strict=True))
+    told = f"{file.names[j]}, {file.names[k]} are places of {len(label)} landmarks: the map, and the label of each row"
+    known = tuple((str(n), *place) for place, n in label.items())
+    of_map = replace(file, names=("id", "x", "y"), rows=known, line=file.line[: len(known)])
+    return replace(file, names=(*file.names, "label"), rows=seen), of_map, told
+
+
+PLACED, AGAIN = r"((anchor|beacon|landmark|lm|node)_?(pos(ition)?_?)?|a|b|l)x", 3  # Names; least rows of each landmark
+
+
 def _spread(place: Array, local: Array, label: Array) -> float:
     """Mean distance between places (N, 2) of a landmark, relative to how far it is from the sensor."""
     off = []

@@ -25,7 +25,7 @@ from data.formats.recordings.laser import TravelNoise
 from data.formats.results.reading import words_of
 from data.formats.tables import files as table_files
 from data.formats.tables.files import POSE, ROLES, SCANS, SECOND, STAMPED, STARRED, Columns, Given, TextTable, Units
-from data.formats.tables.layout import by_layout, seen_by_layout
+from data.formats.tables.layout import by_layout, landmarks_in_rows, seen_by_layout
 from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of, path_of
 from data.formats.tables.motion import STAMPED as STAMPED_KINDS
 from data.formats.tables.scans import BEAMS
@@ -379,6 +379,14 @@ def settle(given: Given) -> Wanted:
         if role in unnamed and (layout := by_layout(texts[role], role)) is not None:
             texts[role], told = layout
             columns.notes.append(f"{files[role].name}: inferred: {told}")
+    typed = {key.rpartition(".")[2] for key in named}
+    if OBSERVATIONS in texts and "map" not in texts and not typed & {"id", *table_files.IDS}:
+        looked, file = columns.quiet, texts[OBSERVATIONS]
+        ranges = looked.find(file, OBSERVATIONS, "range") is not None
+        if ranges and looked.find(file, OBSERVATIONS, "label") is None and (placed := landmarks_in_rows(file)):
+            texts[OBSERVATIONS], texts["map"], told = placed
+            files["map"] = files[OBSERVATIONS]
+            columns.notes.append(f"{files['map'].name}: inferred: {told}")
     kind = _kind(given, texts, columns, "odometry", tuple(KINDS))
     for role in (r for r in unnamed if r in (OBSERVATIONS, *several)):
         if (found := seen_by_layout(texts[role], lambda: path_of(texts, columns, kind))) is not None:
