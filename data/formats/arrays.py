@@ -17,10 +17,11 @@ from data.csv_table import is_number
 from data.errors import DataError
 from data.formats.matlab import CELLS, is_octave, kind_of, load, octave, variables
 from data.formats.messages import file_and_word
+from data.formats.wrapped import package
 from data.se2 import Array
 
 PICKLES = (".pkl", ".pickle", ".p")
-TEXTS = (".json", ".jsonl", ".ndjson")
+TEXTS, YAML = (".json", ".jsonl", ".ndjson"), (".yaml", ".yml")
 SUFFIXES = (".mat", ".npz", ".npy", ".h5", ".hdf5", *TEXTS, *PICKLES)
 MATRICES = ((4, 4), (3, 4))  # Shapes of poses in space
 WIDE = (12, 30)
@@ -33,12 +34,18 @@ ELEMENT = "element"  # Name of the column of numbers of structs, from 0
 def is_arrays(path: Path) -> bool:
     """Whether a file is one of arrays by its name."""
     path = file_and_word(path)[0]
-    return path.suffix.lower() in SUFFIXES or is_octave(path)
+    one = path.suffix.lower() in YAML and "\n---" not in (read_plain(path) if path.is_file() else "")  # no messages
+    return one or path.suffix.lower() in SUFFIXES or is_octave(path)
+
+
+def read_plain(path: Path) -> str:
+    """A text file, whatever bytes it holds."""
+    return path.read_text(encoding="utf-8-sig", errors="replace")
 
 
 def named(path: Path) -> dict[str, Any]:
     """The arrays of a file by name; runs no code of it. DataError for a damaged file."""
-    if path.suffix.lower() in (*TEXTS, *PICKLES):
+    if path.suffix.lower() in (*TEXTS, *YAML, *PICKLES):
         return _plain_file(path)
     if path.suffix.lower() not in (".npz", ".npy"):
         return octave(path) if is_octave(path) else dict(load(path, variables(path)))
@@ -82,7 +89,9 @@ SAFE = frozenset({
 def _plain_file(path: Path) -> dict[str, Any]:
     """What a file of JSON, whole or an object a line, or a pickle holds, by name."""
     try:
-        if path.suffix.lower() not in TEXTS:
+        if path.suffix.lower() in YAML:
+            found = _plain(package(path, "yaml", "pyyaml").safe_load(read_plain(path)))
+        elif path.suffix.lower() not in TEXTS:
             with path.open("rb") as file:
                 found = _plain(_Unpickler(file, encoding="latin1").load())
         else:
@@ -159,6 +168,9 @@ def columns_of(
         columns |= _unrolled("" if [name] == structs else name, value)
     if word:
         own = {k.removeprefix(f"{word}."): c for k, c in columns.items() if k.startswith(f"{word}.")}
+        if not {*own} & {*STAMP}:  # those beside it, of as many rows
+            longest = max(map(len, own.values()), default=0)
+            own |= {k: c for k, c in columns.items() if own and k.lower() in STAMP and len(c) == longest}
         matrix = {k: c for k, c in columns.items() if k == word or k.rstrip("0123456789") == f"{word}_"}
         columns = own or matrix or columns
     lengths = set(map(len, columns.values()))

@@ -125,16 +125,27 @@ LONGEST = 1000  # Lines of a field within quotes
 
 
 def _pairs(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
-    """A header and rows of lines `key: number, key: number` of the same keys, two at least; none of other lines."""
-    found = [(i, re.findall(PAIR, line)) for i, line in lines if line.strip()]
-    names = [key for key, _ in found[0][1]] if found else []
-    whole = all([key for key, _ in pairs] == names for _, pairs in found)
-    if len(names) < 2 or not whole or any(re.search(r"[\d=]", re.sub(PAIR, "", line)) for _, line in lines):
-        return []
-    return [(1, ",".join(names)), *((i, ",".join(value for _, value in pairs)) for i, pairs in found)]
+    """A header and rows of lines `key: number, key: [number, number]` of the same keys, two numbers at least, of lists
+    as key_1, key_2; a number in brackets before them is the stamp. None of other lines.
+    """
+    rows, names = list[tuple[int, str]](), ""
+    for number, line in lines:
+        if not line.strip():
+            continue
+        found = [(key, (one or several).replace(",", " ").split()) for key, one, several in re.findall(PAIR, line)]
+        rest = re.sub(PAIR, "", line)
+        if stamp := re.match(rf"\s*\[({NUMBER})\]", rest):
+            found, rest = [("t", [stamp[1]]), *found], rest[stamp.end() :]
+        each = [f"{k}_{j}" if len(v) > 1 else k for k, v in found for j in range(1, len(v) + 1)]
+        names = names or ",".join(each)
+        if len(each) < 2 or ",".join(each) != names or re.search(r"[\d=]", rest):
+            return []
+        rows.append((number, ",".join(v for _, values in found for v in values)))
+    return [(1, names), *rows] if rows else []
 
 
-PAIR = r"(?<!\w)([A-Za-z_]\w*)\s*[:=]\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?![\w.])"
+NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+PAIR = rf"(?<!\w)([A-Za-z_]\w*)\s*[:=]\s*(?:({NUMBER})(?![\w.])|[\[(]\s*({NUMBER}(?:[\s,]+{NUMBER})*)\s*[\])])"
 
 
 def _blocks(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:

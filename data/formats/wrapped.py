@@ -37,7 +37,7 @@ def unwrapped(path: Path, content: bytes, word: str) -> tuple[bytes, str]:
     if content.startswith(b"PK\x03\x04"):
         return _of_archive(path, content, word)
     if content.startswith(b"PAR1"):
-        table = _package(path, "pandas", "pyarrow").read_parquet(io.BytesIO(content)).reset_index()
+        table = package(path, "pandas", "pyarrow").read_parquet(io.BytesIO(content)).reset_index()
         return table.to_csv(index=False).encode(), word
     if b"<gpx" in content[:2000]:
         return _csv(("t", "lat", "lon", "alt"), _of_gpx(content.decode("utf-8-sig", "replace"))), word
@@ -54,13 +54,14 @@ def _csv(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> bytes:
     return text.getvalue().encode()
 
 
-def _package(path: Path, name: str, needed: str) -> Any:
-    """A package that reads a file with the help of another one."""
+def package(path: Path, name: str, install: str = "") -> Any:
+    """A package that reads a file; `install`: what installs what it needs. DataError without it."""
     try:
-        importlib.import_module(needed)
+        importlib.import_module(install if install == "pyarrow" else name)
+        return importlib.import_module(name)
     except ImportError:
-        raise DataError.at(path, f"this format needs `pip install {needed}`, or save its rows as CSV") from None
-    return importlib.import_module(name)
+        what = f"this format needs `pip install {install or name}`, or save its rows as CSV"
+        raise DataError.at(path, what) from None
 
 
 def _of_archive(path: Path, content: bytes, word: str) -> tuple[bytes, str]:
@@ -75,7 +76,7 @@ def _of_archive(path: Path, content: bytes, word: str) -> tuple[bytes, str]:
                 raise DataError.at(path, f"an archive of {len(files)} files ({some}); unpack it and name one")
     except (zipfile.BadZipFile, RuntimeError) as error:
         raise DataError.at(path, f"cannot be unpacked: {error}") from None
-    book = _package(path, "openpyxl", "openpyxl").load_workbook(io.BytesIO(content), read_only=True, data_only=True)
+    book = package(path, "openpyxl").load_workbook(io.BytesIO(content), read_only=True, data_only=True)
     sheets = [sheet for sheet in book.worksheets if sheet.title == word] or book.worksheets[:1]
     rows = (
         [v.isoformat() if hasattr(v, "isoformat") else v for v in row] for row in sheets[0].iter_rows(values_only=True)

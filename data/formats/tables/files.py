@@ -322,8 +322,10 @@ def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
     tables = [read_text(part) for part in parts]
     first, below = tables[0], path.is_dir()
     if len({len(t.names) if below else len(t) for t in tables}) > 1:
+        if not below and (nearest := _by_stamp(path, tables)) is not None:
+            return nearest
         what = f"files of unequal numbers of {'columns' if below else 'rows'}; as many in each are needed"
-        raise DataError.at(path, what)
+        raise DataError.at(path, what + ", or a column of stamps" * (not below))
     if below:
         names: tuple[str, ...] = ("frame", *first.names)
         rows = tuple((str(k), *row) for k, t in enumerate(tables) for row in t.rows)
@@ -333,6 +335,28 @@ def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
                  for t, own in zip(tables, each, strict=True) for stem, k, name in own]  # fmt: skip
         names, rows = tuple(named), tuple(sum(several, ()) for several in zip(*(t.rows for t in tables), strict=True))
     return TextTable(path, names, rows, np.arange(1, len(rows) + 1), named=True)
+
+
+def _by_stamp(path: Path, tables: Sequence[TextTable]) -> TextTable | None:
+    """The rows of the first table, each with those of the others with the nearest stamps; None where one has none."""
+    stamps = [[k for k, name in enumerate(t.names) if t.named and {*words_of(name)[0]} & {*STAMP}] for t in tables]
+    if not all(len(found) == 1 for found in stamps):
+        return None
+    times = [t.numbers(k, np.ones(len(t), bool)) for t, (k,) in zip(tables, stamps, strict=True)]
+    if not all((np.diff(time) >= 0.0).all() for time in times):
+        return None
+    first, rows = tables[0], [*tables[0].rows]
+    names = [*first.names]
+    for table, (own,), time in zip(tables[1:], stamps[1:], times[1:], strict=True):
+        near = np.clip(np.searchsorted(time, times[0]), 1, len(time) - 1)
+        near -= times[0] - time[near - 1] < time[near] - times[0]
+        there = (time[0] <= times[0]) & (times[0] <= time[-1])
+        names += [name for k, name in enumerate(table.names) if k != own]
+        for k, (row, inside) in enumerate(zip(near.tolist(), there.tolist(), strict=True)):
+            fields = tuple(field for j, field in enumerate(table.rows[row]) if j != own)
+            rows[k] = (*rows[k], *(fields if inside else [""] * len(fields)))
+    said = f"beside each row of {first.path.name} those of {', '.join(t.path.name for t in tables[1:])} nearest in time"
+    return replace(first, path=path, names=tuple(names), rows=tuple(rows), cut=said)
 
 
 def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
@@ -566,6 +590,10 @@ def meaning(name: str) -> tuple[frozenset[str], str, str]:
     return parts, role_of("_".join(rest))[0], "".join(rest)
 
 
+EPOCH, CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}, (1.0e9, 2.2e9)
+"""Units of stamps since 1970 that their size tells; s, from 2001 to 2039."""
+
+
 @dataclass(eq=False)
 class Columns:
     """Stated column names by key `quantity` or `role.quantity`; other quantities have their own names.
@@ -725,11 +753,16 @@ class Columns:
                 what = f"no column {name!r}{did_you_mean(name, file.names)} for {q}; it has {file.described()}"
                 raise DataError.at(file.path, f"{what}; name it as in --columns {role}.{q}=NAME")
             first = next((row[column] for row in file.rows if row[column]), "")
-            if q in STAMPS and not {"t", "time", f"{role}.t"} & set(self.units.given) and is_date(first):
-                right = f"--unit {role}.t={DMY}, or {role}.t={MDY}, is"
-                unit = unit_of(file.path, (row[column] for row in file.rows), right)
-                self.units.given[f"{role}.t"] = unit
-                self.notes.append(f"{file.path.name}: inferred: --unit {role}.t={unit}, as {first} is a date")
+            if q in STAMPS and not {"t", "time", f"{role}.t"} & set(self.units.given):
+                large = float(first) if is_number(first) else 0.0
+                unit = next((u for u, size in EPOCH.items() if CLOCKS[0] < large * size < CLOCKS[1]), "")
+                told = "by its size, since 1970"
+                if is_date(first):
+                    right = f"--unit {role}.t={DMY}, or {role}.t={MDY}, is"
+                    unit, told = unit_of(file.path, (row[column] for row in file.rows), right), "is a date"
+                if unit:
+                    self.units.given[f"{role}.t"] = unit
+                    self.notes.append(f"{file.path.name}: inferred: --unit {role}.t={unit}, as {first} {told}")
             columns.append(column)
         return columns
 

@@ -26,6 +26,10 @@ CLEAR = 0.7  # Largest share of the next reading's spread: of 360 simulated tabl
 
 def by_layout(file: TextTable, role: str) -> tuple[TextTable, str] | None:
     """An odometry, truth or map whose columns have names, and the flag that says so; None if none or several may be."""
+    if role == "map" and file.names[:3] == ("key", "value_1", "value_2"):  # of objects by number
+        return replace(
+            file, names=("id", "x", "y", *file.names[3:])
+        ), "--columns map.id=key,map.x=value_1,map.y=value_2"
     found = [(part, names) for part in _parts(file) if (names := _names(part.rows, role))]
     if len(found) > 1:
         found = [f for f in found if any(word in f[0].names[0].lower() for word in WORDS.get(role, ()))]

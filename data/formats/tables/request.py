@@ -375,7 +375,10 @@ def settle(given: Given) -> Wanted:
             columns.given = {**columns.given, f"{role}.frame": "frame"}
             columns.notes.append(f"{files[role].name}: inferred: frame, of the row of odometry above each in the file")
     unnamed = [r for r in texts if not {k.rpartition(".")[0] for k in named} & {"", r}]
-    for role in ("odometry", "truth", "map"):
+    if "map" in texts and not any(k.startswith("map.") or n in texts["map"].names for k, n in named.items()):
+        unnamed.append("map")
+    named_odometry = any(columns.quiet.has(texts["odometry"], "odometry", KINDS[k]) for k in ("velocities", "poses"))
+    for role in ("odometry",) * (not named_odometry) + ("truth", "map"):
         if role in unnamed and (layout := by_layout(texts[role], role)) is not None:
             texts[role], told = layout
             columns.notes.append(f"{files[role].name}: inferred: {told}")
