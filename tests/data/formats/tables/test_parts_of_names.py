@@ -1,0 +1,190 @@
+"""Parts and quantities that the names of columns tell, and files that are no plain tables of text."""
+
+import gzip
+import io
+import json
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+
+from data import se2
+from data.convert.__main__ import main
+
+COUNT, STEP, V, OMEGA, START = 40, 0.5, 0.6, 0.2, 1_700_000_000.0
+TIME = STEP * np.arange(COUNT)
+ARC = se2.along_arcs(np.array([V * STEP]), np.array([OMEGA * STEP]))[0]
+POSE = se2.dead_reckoned(np.zeros(3), ARC * (np.arange(COUNT) > 0)[:, None])
+MAP = np.array([[3.0, 1.0], [-1.0, 5.0], [4.0, 5.0]])
+POLAR = [[(np.hypot(*p), np.arctan2(*p[::-1])) for p in se2.transform_points(se2.inverse(x)[None], MAP)] for x in POSE]
+TRACK = [(START + t, 48.0 + y / 111e3, 11.0 + x / 74e3) for t, (x, y, _) in zip(TIME, POSE, strict=True)]
+FIXES = [f"{x:.6f},{y:.6f}" if k % 4 == 0 else "," for k, (x, y, _) in enumerate(POSE)]
+
+
+def csv(names, rows):
+    return "\n".join([names, *(",".join(map(str, row)) for row in rows)]) + "\n"
+
+
+MOTION = csv("time,speed,yaw_rate", ((t, V, OMEGA) for t in TIME))
+SEEN = csv("time,tag,dist,phi", ((TIME[k], f"A{j}", *z) for k in range(COUNT) for j, z in enumerate(POLAR[k])))
+KNOWN = csv("tag,x,y", ((f"A{j}", *p) for j, p in enumerate(MAP)))
+LABELLED = ("--observations", "seen.csv", "--columns", "label=tag,map.id=tag")
+
+
+@pytest.fixture
+def made(convert):
+    """`made(files, *words)`: the log of these texts or bytes, the first of odometry, and what is printed."""
+    return lambda files, *words: convert(files, "table", next(iter(files)), "out", *words)
+
+
+def drives(log):
+    return log.recorded.increments.mean[1, 2] == pytest.approx(OMEGA * (log.recorded.time[1] - log.recorded.time[0]))
+
+
+@pytest.mark.parametrize("names", [
+    "Time (s),Speed (m/s),Yaw rate (rad/s),GPS x (m),GPS y (m),True X (m),True Y (m),True Heading (rad)",
+    "t,cmd_vel.linear.x,cmd_vel.angular.z,uwb_x,uwb_y,gt_x,gt_y,gt_yaw",
+    "stamp,wheel_speed,wz,fix.x,fix.y,vicon_x,vicon_y,vicon_theta",
+])  # fmt: skip
+def test_fixes_and_truth_of_one_table_are_told_by_their_names(made, names):
+    rows = ((t, V, OMEGA, f, *p) for t, f, p in zip(TIME, FIXES, POSE, strict=True))
+    log, said = made({"robot.csv": csv(names, rows)})
+    assert (len(log.recorded.fixes), len(log.recorded.observations.z)) == (COUNT // 4, 0)
+    assert log.recorded.fixes.z[1, :2] == pytest.approx(POSE[4, :2], abs=1e-6)
+    assert log.truth.pose[1] == pytest.approx(POSE[int(log.recorded.time[1] / STEP)])
+    assert "inferred: --truth robot.csv" in said
+    assert "inferred: --fixes robot.csv" in said
+    assert drives(log)
+
+
+def test_a_part_that_columns_state_is_in_the_file_of_the_odometry(made):
+    rows = ((V, OMEGA, f, *p) for f, p in zip(FIXES, POSE, strict=True))
+    words = (
+        "--columns",
+        "fixes.x=e,fixes.y=n,truth.x=a,truth.y=b,truth.theta=c",
+        "--period",
+        "0.5s",
+        "--fix-sigma",
+        "0.2",
+    )
+    log, _ = made({"robot.csv": csv("v,omega,e,n,a,b,c", rows)}, *words)
+    assert len(log.recorded.fixes) == COUNT // 4
+    assert log.recorded.fixes.covariance[0, 1, 1] == pytest.approx(0.04)
+    assert log.truth.pose[0] == pytest.approx(POSE[0])
+
+
+def test_speeds_of_wheels_need_their_distance_alone(made):
+    rows = ((t, V - 0.2 * OMEGA, V + 0.2 * OMEGA, f) for t, f in zip(TIME, FIXES, strict=True))
+    log, said = made(
+        {"robot.csv": csv("t,v_left,v_right,gps_x,gps_y", rows)}, "--track-width", "0.4", "--fix-sigma", "0.1"
+    )
+    assert "--ticks rate --metres-per-tick 1" in said
+    assert drives(log)
+
+
+def test_landmarks_named_by_words_and_the_start_that_takes_them_to_the_map(made):
+    log, said = made({"odo.csv": MOTION, "seen.csv": SEEN, "map.csv": KNOWN}, *LABELLED, "--map", "map.csv")
+    assert log.label[:3].tolist() == [0, 1, 2]
+    assert log.recorded.map.xy == pytest.approx(MAP)
+    assert log.recorded.prior.mean == pytest.approx(np.zeros(3), abs=1e-3)
+    assert "which takes observations to the map" in said
+    words = {"A0": "043B", "A1": "12E4", "A2": "C0DE"}
+    hexadecimal = {"seen.csv": SEEN, "map.csv": KNOWN}
+    for word, other in words.items():
+        hexadecimal = {name: text.replace(word, other) for name, text in hexadecimal.items()}
+    log, _ = made({"odo.csv": MOTION, **hexadecimal}, *LABELLED, "--map", "map.csv")
+    assert len(np.unique(log.label)) == 3
+    assert log.recorded.prior.mean == pytest.approx(np.zeros(3), abs=1e-3)
+
+
+def test_places_of_anchors_beside_their_ranges_are_the_map(made):
+    rows = ((TIME[k], z[0], *MAP[j]) for k in range(COUNT) for j, z in enumerate(POLAR[k]))
+    log, said = made({"odo.csv": MOTION, "uwb.csv": csv("t,range,anchor_x,anchor_y", rows)},
+                     "--observations", "uwb.csv", "--prior", "0,0,0")  # fmt: skip
+    assert log.recorded.map.xy == pytest.approx(MAP)
+    assert log.label[:4].tolist() == [0, 1, 2, 0]
+    assert "are places of 3 landmarks" in said
+
+
+def test_objects_of_json_and_yaml_have_parts_by_their_names(made):
+    steps = [
+        {"timestamp": t, "control": {"v": V, "w": OMEGA}, "pose_gt": {"x": p[0], "y": p[1], "theta": p[2]},
+         "observations": [{"id": j, "range": z[0], "bearing": z[1]} for j, z in enumerate(zs)]}
+        for t, p, zs in zip(TIME, POSE.tolist(), POLAR, strict=True)
+    ]  # fmt: skip
+    lines = "\n".join(map(json.dumps, steps)) + "\n"
+    yaml = "landmarks:\n" + "".join(f"  {j}: [{x}, {y}]\n" for j, (x, y) in enumerate(MAP))
+    log, _ = made({"log.jsonl": lines, "map.yaml": yaml}, "--map", "map.yaml")
+    assert log.recorded.observations.z[:3] == pytest.approx(np.array(POLAR[0]))
+    assert log.label[:3].tolist() == [0, 1, 2]
+    assert log.recorded.map.xy == pytest.approx(MAP)
+    assert log.truth.pose[-1, :2] == pytest.approx(POSE[-1, :2])
+    assert drives(log)
+
+
+def test_files_with_stamps_of_their_own_are_joined_by_them(convert):
+    wheel = csv("timestamp,wheel_speed", ((int(1e9 * (START + t)), V) for t in TIME))
+    imu = csv("timestamp,gyro_z", ((int(1e9 * (START + 0.1 * k)), OMEGA) for k in range(5 * COUNT)))
+    fixes = csv("time,latitude,longitude", TRACK)
+    files = {"wheel.csv": wheel, "imu.csv": imu, "gps.csv": fixes}
+    log, said = convert(files, "table", "wheel.csv+imu.csv", "out", "--fixes", "gps.csv", "--fix-sigma", "0.1")
+    assert "nearest in time" in said
+    assert drives(log)
+
+
+def nmea(stamp, lat, lon):
+    clock = stamp % 86400
+    text = f"{int(clock // 3600):02d}{int(clock // 60 % 60):02d}{clock % 60:05.2f}"
+    place = [f"{int(v) * 100 + (v % 1) * 60:.6f},{side}" for v, side in ((lat, "N"), (lon, "E"))]
+    return f"{stamp:.2f},$GPGGA,{text},{place[0]},{place[1]},4,12,0.8,500.0,M,47.0,M,,*5A"
+
+
+def gpx(stamp, lat, lon):
+    time = np.datetime64(int(1000 * stamp), "ms")
+    return f'<trkpt lat="{lat}" lon="{lon}"><ele>5</ele><time>{time}Z</time></trkpt>'
+
+
+@pytest.mark.parametrize(("name", "content"), [
+    ("a.nmea", "\n".join(f"{nmea(*row)}\n$GPGSA,A,3,,,1.0*30" for row in TRACK)),
+    ("a.gpx", '<?xml version="1.0"?><gpx version="1.1"><trk>' + "\n".join(gpx(*row) for row in TRACK) + "</trk></gpx>"),
+    ("a.csv.gz", gzip.compress(csv("t,lat,lon", TRACK).encode())),
+    ("fix.csv", "".join(f"{int(t)},{int(t % 1 * 1e9)},gps,0,1,{a},{b},500.0{',0.1' * 9},2\n" for t, a, b in TRACK)),
+])  # fmt: skip
+def test_tracks_of_receivers_and_packed_tables_are_fixes(made, name, content):
+    odometry = csv("time,v,omega", ((START + t, V, OMEGA) for t in TIME))
+    log, _ = made({"odo.csv": odometry, name: content}, "--fixes", name, "--fix-sigma", "0.1")
+    z = log.recorded.fixes.z[:, :2]
+    assert len(z) == COUNT
+    assert np.hypot(*(z[-1] - z[0])) == pytest.approx(np.hypot(*(POSE[-1] - POSE[0])[:2]), rel=0.02)
+
+
+def test_a_spreadsheet_is_its_first_sheet_or_the_named_one(made, refused, tmp_path, monkeypatch):
+    openpyxl = pytest.importorskip("openpyxl")
+    book, held = openpyxl.Workbook(), io.BytesIO()
+    for row in csv("time,v,omega,gps_x,gps_y", ((t, V, OMEGA, f) for t, f in zip(TIME, FIXES, strict=True))).split():
+        book.active.append([float(f) if f[:1].isdigit() or f[:1] == "-" else f or None for f in row.split(",")])
+    book.save(held)
+    log, _ = made({"log.xlsx": held.getvalue()}, "--fix-sigma", "0.1")
+    assert len(log.recorded.fixes) == COUNT // 4
+    assert drives(log)
+    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    assert "pip install openpyxl" in refused(main, ["table", str(tmp_path / "log.xlsx"), "out2"])
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.writestr("a.csv", "x"), archive.writestr("b.csv", "y")
+    (tmp_path / "two.zip").write_bytes(packed.getvalue())
+    assert "2 files (a.csv, b.csv)" in refused(main, ["table", str(tmp_path / "two.zip"), "out2"])
+
+
+def test_a_receiver_that_starts_cold_does_not_tell_the_start(made):
+    off = [(8.0, -6.0) if k < 6 else (0.0, 0.0) for k in range(COUNT)]
+    rows = ((t, V, OMEGA, x + a, y + b) for t, (x, y, _), (a, b) in zip(TIME, POSE, off, strict=True))
+    log, _ = made({"robot.csv": csv("t,v,omega,gps_x,gps_y", rows)}, "--fix-sigma", "0.1")
+    assert log.recorded.prior.mean == pytest.approx(np.zeros(3), abs=1e-3)
+
+
+def test_units_below_names_and_names_without_their_units(made):
+    text = MOTION.replace("time,speed,yaw_rate\n", "Time,Speed (m/s),turn\n(s),,(rad/s)\n")
+    log, _ = made({"odo.csv": text, "seen.csv": SEEN}, *LABELLED[:3], "label=tag,v=speed,omega=Turn")
+    assert drives(log)
