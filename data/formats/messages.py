@@ -134,8 +134,8 @@ def _pairs(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
             continue
         found = [(key, (one or several).replace(",", " ").split()) for key, one, several in re.findall(PAIR, line)]
         rest = re.sub(PAIR, "", line)
-        if stamp := re.match(rf"\s*\[({NUMBER})\]", rest):
-            found, rest = [("t", [stamp[1]]), *found], rest[stamp.end() :]
+        if stamp := re.match(rf"\s*(?:\[({NUMBER})\]|({NUMBER}):)", rest):
+            found, rest = [("t", [stamp[1] or stamp[2]]), *found], rest[stamp.end() :]
         each = [f"{k}_{j}" if len(v) > 1 else k for k, v in found for j in range(1, len(v) + 1)]
         names = names or ",".join(each)
         if len(each) < 2 or ",".join(each) != names or re.search(r"[\d=]", rest):

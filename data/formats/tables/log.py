@@ -143,8 +143,8 @@ def read_fixes(file: TextTable, wanted: Wanted, odometry: Odometry, notes: list[
     if default is None and not table.together(SIGMAS[:2]) and "stheta" not in table:
         default, columns.origins["fix_noise"] = np.array(FIX_SIGMA), Origin.ASSUMED
         notes.append("assumed: --fix-sigma 1m,1m,5deg")
-    at = odometry.rows[np.searchsorted(file.line, table.line)][:, None]
-    at = _at(table, keys, stamped, odometry, notes) if keys else at
+    of_file = np.searchsorted(file.line, table.line)
+    at = _at(table, keys, stamped, odometry, notes) if keys else odometry.rows[of_file][:, None]
     found = _measured(role, table, file.path, at, stamped, z, default)
     filled = ~np.isnan(z).all(axis=1)
     if not filled.all():
