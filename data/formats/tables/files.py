@@ -572,12 +572,15 @@ def _nonzero(field: str) -> bool:
 
 
 PARTS = {
-    "odometry": frozenset(("odom", "odometry", "wheel", "encoder", "enc", "cmd", "command", "control", "input")),
+    "odometry": frozenset(("odom", "odometry", "wheel", "encoder", "enc")),
     "observations": frozenset(("obs", "observation", "meas", "measurement", "detection")),
     "fixes": frozenset(("gps", "gnss", "uwb", "rtk", "fix")),
     "truth": TRUE | REFERENCE | {"ground", "vicon", "mocap", "optitrack", "actual"},
 }  # fmt: skip
 """Words in the name of a column, in the singular, that tell the part it is of."""
+COMMANDED = frozenset(
+    ("cmd", "command", "commanded", "control", "input")
+)  # Of speeds that are measured, too, not taken
 
 
 @cache
@@ -585,7 +588,7 @@ def meaning(name: str) -> tuple[frozenset[str], str, str]:
     """The parts that a column's name tells, and role and words of the name without the words that tell them."""
     words, _ = words_of(name)
     parts = frozenset(part for part, of in PARTS.items() if any(w in of or w.rstrip("s") in of for w in words))
-    own = frozenset[str]().union(*(PARTS[part] for part in parts))
+    own = COMMANDED.union(*(PARTS[part] for part in parts))
     rest = [w for w in words if w not in own and w.rstrip("s") not in own]
     return parts, role_of("_".join(rest))[0], "".join(rest)
 
@@ -691,13 +694,15 @@ class Columns:
         words = (quantity, *ALSO.get(quantity, ()))
         more = (*words, "id") if quantity == "label" and role not in ROLES[2:] else words
         also = [c for c, (parts, of, word) in meant.items() if role in parts and (of in usual or word in more)]
-        exact = file.named and quantity in file.names and not also
+        exact = file.named and quantity in file.names and (not also or (role == "odometry" and quantity in TWIST))
         if exact and (file.path, role, file.names.index(quantity)) not in self.intervals:
             return file.find("time" if quantity == "t" and self._headings(file) else quantity)
         read = {c: (role_of(name)[0], "".join(words_of(name)[0])) for c, name in enumerate(file.names) if file.named}
         others = [c for c in read if role in PARTS and meant[c][0] and role not in meant[c][0]]
         read = {c: found for c, found in read.items() if c not in others}
         also = also or [c for c, (of, word) in read.items() if of in usual or word in more]
+        also = also or [c for c in read if meant[c][1] in usual or meant[c][2] in more]
+        also = [c for c in also if not COMMANDED & {*words_of(file.names[c])[0]}] or also
         also = [c for c in also if quantity != "label" or meant[c][2] != "id" or _comes_again(file, c)]
         if not also and quantity in WITHIN:  # of a field within structs; not the number of a struct that has its own
             last = {c: "".join(words_of(name.rpartition(".")[2])[0]) for c, name in enumerate(file.names) if file.named}
