@@ -548,6 +548,7 @@ WITHIN = ("frame", "frame1", "frame2")
 their end, where a file has exactly one of them."""
 
 
+AGAIN = 3  # Least usual number of observations of a landmark
 TWIST = {
     "v": ("linearx", "velx", "velocityx", "linearvelx"), "omega": ("angularz", "angularvelocityz", "angularvelz"),
 }  # fmt: skip
@@ -562,9 +563,15 @@ def _sideways(file: TextTable, column: int) -> bool:
 
 
 def _comes_again(file: TextTable, column: int) -> bool:
-    """Whether whole numbers of a column name things that are observed again and again."""
+    """Whether numbers of a column name things that are observed again and again, not their places in a frame."""
     ids = [row[column] for row in file.rows if row[column]]
-    return all(map(is_number, ids)) and 3 * len({*ids}) <= len(ids)
+    if not all(map(is_number, ids)) or AGAIN * len({*ids}) > len(ids):
+        return False
+    number = np.array(ids, float)
+    anew = np.flatnonzero(np.diff(number, prepend=np.inf) <= 0.0)
+    each = np.split(number, anew[1:])
+    counted_up = all((np.diff(some) == 1.0).all() and some[0] == number.min() for some in each)
+    return not (counted_up and len(set(map(len, each))) > 1)
 
 
 def _nonzero(field: str) -> bool:
