@@ -76,11 +76,6 @@ class Graph:
     position: Edges  # positions of poses, the same
 
     @property
-    def path(self) -> Path:
-        """Of the file, for messages."""
-        return self.file.path
-
-    @property
     def seen(self) -> tuple[tuple[type[Sensor], Edges], ...]:
         """Edges to landmarks, and the sensors that measure so."""
         kinds = (RelativePoint, RangeBearing, Bearing, Range)
@@ -95,8 +90,7 @@ def read_graph(path: Path, noise: str | None = None) -> Graph:
     kinds = {kind for kind, _ in (*file.poses.values(), *file.points.values())}
     if any({graph_file.POSE3, graph_file.POINT3} & some for some in (kinds, *(set(file.kind(e)) for e in file.edges))):
         raise DataError.at(path, f"a graph in space; a graph in the plane ({POSE}) is needed")
-    both = sorted(file.poses.keys() & file.points.keys())
-    if both:
+    if both := sorted(file.poses.keys() & file.points.keys()):
         raise DataError.at(path, f"vertex {both[0]} is repeated; ids must be unique")
     found: dict[str, list[graph_file.Edge]] = {name: [] for name in KINDS}
     for e in file.edges:
@@ -136,16 +130,13 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
     Raises DataError for neighbours without an edge, an edge without its vertex, or no pose.
     """
     ids = _frames(graph)
-    notes: list[str] = []
-    origins: dict[str, Origin] = {}
     mean, covariance, used = _chain(graph, ids)
     covariance, floored = floor_covariances(covariance, FLOOR)
     unknown = ("", np.full(3, np.nan))
     vertex = np.array([graph.file.poses.get(i, unknown)[1] for i in ids.tolist()])
     start = vertex[0] if np.isfinite(vertex[0]).all() else np.zeros(3)
     observations, label, sensors = _observations(graph, ids)
-    origins |= {"max_range": Origin.INFERRED} if len(label) else {}
-    notes += _changes(graph, ids, used)
+    origins: dict[str, Origin] = {"max_range": Origin.INFERRED} if len(label) else {}
     landmarks = None
     if true and graph.file.points:
         points = sorted(graph.file.points.items())
@@ -158,7 +149,7 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
         fixes=_fixes(graph, ids),
     )  # fmt: skip
     truth = Truth(pose=vertex if true else None, landmarks=landmarks, landmark_of=label if true else None)
-    source: dict[str, object] = {"kind": "g2o", **source_file(graph.path)}
+    source: dict[str, object] = {"kind": "g2o", **source_file(graph.file.path)}
     if ids.tolist() != list(range(len(ids))):
         source[POSE_IDS] = ids.tolist()
     chain = np.isin(np.arange(len(graph.motion)), used)
@@ -169,8 +160,8 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
     }  # fmt: skip
     origins |= {quantity: Origin.ASSUMED for quantity, which in bare.items() if which.any()}
     return Log(
-        name, inputs, truth, label=label if len(label) and not true else None, source=source, notes=tuple(notes),
-        origins=origins,
+        name, inputs, truth, label=label if len(label) and not true else None, source=source,
+        notes=tuple(_changes(graph, ids, used)), origins=origins,
     )  # fmt: skip
 
 
@@ -179,11 +170,11 @@ def _frames(graph: Graph) -> IntArray:
     ends = [graph.motion.ends.ravel(), *(e.ends[:, 0] for _, e in graph.seen)]
     ids = np.array(list(graph.file.poses), np.int64) if graph.file.poses else np.unique(np.concatenate(ends))
     if len(ids) == 0:
-        raise DataError.at(graph.path, "no pose: neither VERTEX_SE2 nor EDGE_SE2")
+        raise DataError.at(graph.file.path, "no pose: neither VERTEX_SE2 nor EDGE_SE2")
     for edges, columns in ((graph.motion, 2), *((e, 1) for _, e in graph.seen)):
         for i in np.setdiff1d(edges.ends[:, :columns], ids):
             line = int(edges.line[(edges.ends == i).any(axis=1)][0])
-            raise DataError.at(graph.path, f"no VERTEX_SE2 {i}; this edge ends there", line=line)
+            raise DataError.at(graph.file.path, f"no VERTEX_SE2 {i}; this edge ends there", line=line)
     joined = {(a, b) for pair in graph.motion.ends.tolist() for a, b in (pair, pair[::-1])}
     ordered = np.sort(ids)
     return ordered if _in_a_row(ordered, joined) or not _in_a_row(ids, joined) else ids
@@ -223,7 +214,7 @@ def _require_definite(graph: Graph, tag: str, edges: Edges, P: Array) -> None:
     fine = definite(P)
     if not fine.all():
         what = f"{tag}: its covariance is singular to rounding; directions of similar information are needed"
-        raise DataError.at(graph.path, what, line=int(edges.line[np.argmin(fine)]))
+        raise DataError.at(graph.file.path, what, line=int(edges.line[np.argmin(fine)]))
 
 
 def _fixes(graph: Graph, ids: IntArray) -> Fixes | None:
@@ -253,7 +244,7 @@ def _chain(graph: Graph, ids: IntArray) -> tuple[Array, Array, IntArray]:
     into, first = np.unique(ends[near].max(axis=1), return_index=True)
     for k in np.setdiff1d(np.arange(1, n), into)[:1].tolist():
         what = f"no {MOTION} between the successive poses {ids[k - 1]} and {ids[k]}; a log needs that motion, "
-        raise DataError.at(graph.path, f"{what}slamref audit {graph.path.name} does not")
+        raise DataError.at(graph.file.path, f"{what}slamref audit {graph.file.path.name} does not")
     mean, covariance = np.zeros((n, 3)), np.zeros((n, 3, 3))
     used = near[first]
     motion = edges.measured[used].copy()
@@ -310,8 +301,7 @@ def _closures(graph: Graph, ids: IntArray, used: IntArray) -> Closures | None:
 
 def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
     notes = ["One pose has a line; the others begin where the edges put them"] if graph.file.alone else []
-    loops = len(graph.motion) - len(used)
-    if loops:
+    if loops := len(graph.motion) - len(used):
         notes.append(f"{loops} {MOTION} outside the chain of poses are its closures")
     if graph.file.fixed and graph.file.fixed != [int(ids[0])]:
         notes.append(f"FIX {' '.join(map(str, graph.file.fixed[:5]))}: the first pose is fixed instead")

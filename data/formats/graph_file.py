@@ -19,7 +19,8 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from data.csv_table import bytes_of, is_number
+from data.columns.named import definite
+from data.csv_table import bytes_of, is_number, symmetric
 from data.errors import LARGEST, DataError
 from data.origin import Origin
 from data.se2 import Array, compose, inverse
@@ -190,8 +191,8 @@ def known_tag(tag: str) -> str:
 
 def _layout(words: list[tuple[int, list[str]]]) -> tuple[bool, str]:
     """Whether EDGE2 are in the order of rows, and what the noise of text states ("": there is none)."""
-    sixes = [_six(w[6:]) for _, w in words if w[0] == "EDGE2" and len(w) == 12]
-    rows = any(not _definite(_symmetric(v[TORO], 3)) for v in sixes) and all(v[[0, 3, 5]].all() for v in sixes)
+    sixes = np.array([_six(w[6:]) for _, w in words if w[0] == "EDGE2" and len(w) == 12]).reshape(-1, 6)
+    rows = bool(sixes[:, [0, 3, 5]].all()) and not definite(symmetric(sixes[:, TORO])).all()
     text = [_six(w[6:])[[0, 3, 5]] for _, w in words if w[0] in TEXT[:-1] and len(w) == 12]
     text += [_six(w[5:])[[0, 2]] for _, w in words if w[0] == TEXT[-1] and len(w) == 8]
     text += [v[[0, 3, 5]] for v in sixes if rows]
@@ -259,7 +260,7 @@ def _prior(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
     key, offset = keys[0], keys[1] if sensor else -1
     if sensor and offset not in graph.offsets:
         raise DataError.at(graph.path, f"{tag}: no PARAMS_SE3OFFSET {offset}, the sensor's place on it", line=line)
-    z, information = _pose(graph.path, line, tag, values[:measured]), _symmetric(values[measured:], d)
+    z, information = _pose(graph.path, line, tag, values[:measured]), symmetric(values[None, measured:])[0]
     if d == 6 and not information[3:].any() and not (sensor and graph.offsets[offset][:3].any()):
         R = Rotation.from_quat(z[3:]).as_matrix()
         tag, z, information, offset = IN_SPACE, z[:3], R @ information[:3, :3] @ R.T, -1
@@ -299,15 +300,15 @@ def _stated(graph: GraphFile, edge: Edge, entries: Array) -> Array:
     """The information (d, d) that the entries of an edge's line state."""
     d, states = EDGES[edge.tag][1], graph.states(edge)
     if states == ROOT:
-        root = np.triu(_symmetric(entries, d))
+        root = np.triu(symmetric(entries[None])[0])
         if not np.diagonal(root).all():
             what = f"{edge.tag}: the root of its information has a zero on its diagonal; a triangle of full rank"
             raise DataError.at(graph.path, f"{what} is needed", line=edge.line)
         return np.asarray(root.T @ root)
     toro = edge.tag == "EDGE2" and not graph.rows
-    matrix = _symmetric(entries[TORO] if toro else entries, d)
+    matrix = symmetric((entries[TORO] if toro else entries)[None])[0]
     hint = ""
-    if d == 3 and EDGES[edge.tag][2] == POSE2 and not toro and _definite(_symmetric(entries[TORO], d)):
+    if d == 3 and EDGES[edge.tag][2] == POSE2 and not toro and definite(symmetric(entries[None, TORO])).all():
         hint = "; it would be in Toro's order I11 I12 I22 I33 I13 I23, as of an EDGE2"
     tag = f"{edge.tag} {edge.ends[0]} {edge.ends[1]}"
     _require_definite(graph.path, edge.line, tag, matrix, hint, "covariance" * (states == COVARIANCE))
@@ -315,7 +316,7 @@ def _stated(graph: GraphFile, edge: Edge, entries: Array) -> Array:
 
 
 def _require_definite(path: Path, line: int, tag: str, matrix: Array, hint: str = "", name: str = "") -> None:
-    if not _definite(matrix):
+    if not definite(matrix[None]).all():
         value = float(np.linalg.eigvalsh(matrix)[0])
         what = f"{tag}: its {name or 'information matrix'} is not positive definite (least eigenvalue {value:.3g})"
         root = np.sqrt(np.maximum(np.diagonal(matrix), 0.0))
@@ -341,18 +342,6 @@ def _of_robot(edge: Edge, offsets: list[Array]) -> Edge:
         z = compose(compose(offsets[0], edge.measured), inverse(offsets[1]))
     back = np.linalg.inv(A)
     return replace(edge, measured=z, information=np.asarray(back.T @ edge.information @ back), carried=A)
-
-
-def _symmetric(entries: Array, d: int) -> Array:
-    out, upper = np.zeros((d, d)), np.triu_indices(d)
-    out[upper] = out.T[upper] = entries
-    return out
-
-
-def _definite(information: Array) -> bool:
-    """Whether it is positive definite, whatever its units."""
-    scale = np.sqrt(np.maximum(np.diagonal(information), 0.0))
-    return bool(scale.all()) and float(np.linalg.eigvalsh(information / scale[:, None] / scale)[0]) > 1e-12
 
 
 def _pose(path: Path, line: int, tag: str, values: Array) -> Array:

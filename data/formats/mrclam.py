@@ -36,6 +36,7 @@ from data.columns.scans import open_archive
 from data.csv_table import Table, bytes_of, cut_off, lines_of, number_rows
 from data.digest import file_sha256
 from data.errors import DataError, UsageError
+from data.formats.recordings.laser import FLOOR
 from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.velocity import MAX_HOLD, VelocityModel, VelocityNoise, floor_covariances, preintegrate
@@ -140,7 +141,7 @@ class Files:
     @property
     def names(self) -> frozenset[str]:
         """Names of the files."""
-        return _names(self.home)
+        return frozenset(p.name for p in self.home.iterdir() if p.is_file())
 
     def path(self, name: str) -> str:
         """The path of a file in errors."""
@@ -168,10 +169,6 @@ class Files:
         return sorted(n for n in numbers if {robot_file(n, "Odometry"), robot_file(n, "Measurement")} <= names)
 
 
-def _names(folder: Path | zipfile.Path) -> frozenset[str]:
-    return frozenset(p.name for p in folder.iterdir() if p.is_file())
-
-
 def robot_file(robot: int, what: str) -> str:
     """Name of a robot's file: `what` is Groundtruth, Odometry or Measurement."""
     return f"Robot{robot}_{what}.dat"
@@ -184,7 +181,8 @@ def open_files(source: Path) -> Files:
     try:
         top = source if source.is_dir() else zipfile.Path(open_archive(source, whole=True))
         folders = [top, *sorted((p for p in top.iterdir() if p.is_dir()), key=lambda p: p.name)]
-        homes = [f for f in folders if any(n in (BARCODES, LANDMARKS) or ROBOT_FILE.fullmatch(n) for n in _names(f))]
+        its = ((f, Files(f.name, f, {}).names) for f in folders)
+        homes = [f for f, names in its if names & {BARCODES, LANDMARKS} or any(map(ROBOT_FILE.fullmatch, names))]
     except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as error:
         what = f"cannot be read: {error}" if source.is_dir() else f"not a readable zip file or folder: {error}"
         raise DataError.at(source, what) from None
@@ -324,7 +322,6 @@ def lay_out(
     return time, increments, frame.astype(np.int64), notes
 
 
-FLOOR = 1e-10  # Smallest eigenvalue of an increment's covariance
 SENSOR = RangeBearing(max_range=10.0, min_angle=-0.6, max_angle=0.6)
 """The camera; recordings have ranges up to 9.2 m and bearings up to 0.58 rad to either side."""
 CORRECTED = "Landmark_Groundtruth.corrected.dat"
@@ -392,12 +389,11 @@ class Treatment:
 
     def described(self) -> dict[str, object]:
         """Settings that differ from the default, for the log's source."""
-        given: dict[str, object] = {"start": self.start, "stop": self.stop}
-        if self.landmarks is not None:
-            path = Path(self.landmarks)
-            given |= {"landmarks": path.name, "landmarks_sha256": file_sha256(path)}
-        given["exclude_truth"] = [list(map(float, s)) for s in self.exclude_truth] or None
-        given["grid"] = self.grid
+        path, bad = self.landmarks, [list(map(float, s)) for s in self.exclude_truth]
+        given = {
+            "start": self.start, "stop": self.stop, "landmarks": path and path.name,
+            "landmarks_sha256": path and file_sha256(path), "exclude_truth": bad or None, "grid": self.grid,
+        }  # fmt: skip
         return {key: value for key, value in given.items() if value is not None}
 
 

@@ -20,7 +20,7 @@ from data.columns.poses import CLOSURE, ENDS, FIX, POSE, RELATIVE, by_name
 from data.columns.scans import read_scans, scans_content
 from data.csv_table import bytes_of, is_number, lines_of, read_table
 from data.errors import DataError
-from data.inputs import LandmarkMap, Scans
+from data.inputs import LandmarkMap
 from data.log import Log
 from data.motion.motion_prior import note_of
 from data.motion.velocity import WITH_ALPHAS, VelocityModel
@@ -105,7 +105,7 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
         there.add(OBSERVATIONS)  # it is needed then
     tables = {name: read_table(folder / name, *of) for name, of in columns.items() if name in there}
     made = parts.parts_of(header, tables)
-    scans = _scans(folder, header, there, len(made.recorded))
+    scans = None if header.scanner is None else read_scans(folder / SCANS, header.scanner, len(made.recorded))
     truth, reference = made.truth, folder / RELATIONS if relations is None else relations
     if relations is not None or RELATIONS in there:
         stamp = tables[FRAMES].columns.get(parts.STAMP) if FRAMES in tables else None
@@ -143,17 +143,10 @@ def _check(folder: Path, header: Header, there: set[str]) -> None:
     if not header.sensors and (OBSERVATIONS in there or not there & {FIXES, CLOSURES}):
         needed = f"{OBSERVATIONS} needs one" if OBSERVATIONS in there else f"one, {FIXES} or {CLOSURES} is needed"
         raise DataError.at(folder / HEADER, f"no [sensor] table; {needed}")
-
-
-def _scans(folder: Path, header: Header, there: set[str], frames: int) -> Scans | None:
-    """scans.npz, which needs [scanner] and frames.csv."""
-    if header.scanner is None:
-        if SCANS in there:
-            raise DataError.at(folder / HEADER, f"no [scanner] table; {SCANS} needs one")
-        return None
-    if ODOMETRY in there:
+    if header.scanner is None and SCANS in there:
+        raise DataError.at(folder / HEADER, f"no [scanner] table; {SCANS} needs one")
+    if header.scanner is not None and ODOMETRY in there:
         raise DataError.at(folder / SCANS, f"scans belong to frames; {FRAMES} is needed instead of {ODOMETRY}")
-    return read_scans(folder / SCANS, header.scanner, frames)
 
 
 Table = dict[str, Sequence[Any]]  # Columns by name
@@ -209,8 +202,7 @@ def _require_replaceable(target: Path) -> None:
     inside = sorted(p.name for p in target.iterdir())
     if inside and HEADER not in inside:
         raise DataError.at(target, f"exists and is not a log folder (no {HEADER}); name another one")
-    other = [name for name in inside if name not in FILES]
-    if other:
+    if other := [name for name in inside if name not in FILES]:
         raise DataError.at(target, f"holds {other[0]!r}, which is no part of a log; move it or name another folder")
 
 
@@ -258,8 +250,7 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
         tables[parts.TRUTH] = {"t": samples.truth[0].tolist(), **by_name(POSE, samples.truth[1])}
     elif truth.pose is not None:
         tables[parts.TRUTH] = by_name(POSE, truth.pose)
-    landmarks = _landmarks(log)
-    if landmarks is not None:
+    if (landmarks := _landmarks(log)) is not None:
         places: Table = {"id": landmarks.id.tolist(), **by_name(("x", "y"), landmarks.xy.reshape(-1, 2))}
         places |= {} if landmarks.sigma is None else by_name(parts.SIGMAS, landmarks.sigma)
         if (true := truth.landmarks) is not None and not _same(landmarks, true):

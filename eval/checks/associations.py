@@ -91,17 +91,15 @@ def seam(f: Method, original: Callable[..., Any]) -> Iterator[str]:
 @check("no landmark twice")
 def twice(f: Method, original: Callable[..., Any]) -> Iterator[str]:
     """No landmark is paired with two observations of a frame, unless the method declares it."""
-    count, first = 0, ""
+    wrong = list[str]()
     for seed in range(PROBLEMS):
         found = f(problem(seed, spread=0.5), GATE)
         paired, times = np.unique(found[found >= 0], return_counts=True)
-        if (times > 1).any():
-            count += 1
-            number = paired[times > 1][0]
+        for number in paired[times > 1][:1]:
             rows = " and ".join(map(str, np.flatnonzero(found == number)))
-            first = first or f"landmark {number} goes to observations {rows}"
-    if count:
-        sentence = f"in {count} of {PROBLEMS} crowded frames a landmark is paired twice ({first})"
+            wrong.append(f"landmark {number} goes to observations {rows}")
+    if wrong:
+        sentence = f"in {len(wrong)} of {PROBLEMS} crowded frames a landmark is paired twice ({wrong[0]})"
         raise FailedError(sentence, declared=declares(original, "one_to_one"))
     yield f"in {PROBLEMS} crowded frames no landmark is paired twice"
 
@@ -156,9 +154,8 @@ def inside(f: Method, original: Callable[..., Any]) -> Iterator[str]:
             if found.tolist() != [4]:
                 d2 = e.individual_distances()[0, 0]
                 what = f"an observation and the only landmark at squared distance {d2:.4g}, inside the gate {p:g} of"
-                asks = "is S = HPHt + R, and the gate chi-square with 2 dof?"
-                why = f"{what} {gate_threshold(p):.4g}, are not paired: {asks}"
-                raise FailedError(why, declared=declares(original, "all_inside"))
+                why = f"{gate_threshold(p):.4g}, are not paired: is S = HPHt + R, and the gate chi-square with 2 dof?"
+                raise FailedError(f"{what} {why}", declared=declares(original, "all_inside"))
     yield f"{pairs} lone pairs inside the gates of {GATE:g} and 0.5 are paired"
 
 
@@ -186,8 +183,7 @@ def purity(f: Method, original: Callable[..., Any]) -> Iterator[str]:
         e = replace(e, **writable)
         before = {name: getattr(e, name).copy() for name in names}
         f(e, GATE)
-        changed = [name for name in names if not np.array_equal(getattr(e, name), before[name])]
-        if changed:
+        if changed := [name for name in names if not np.array_equal(getattr(e, name), before[name])]:
             raise FailedError(f"it changed expectation.{changed[0]}: work on a copy")
     yield f"{PROBLEMS} expectations are as they were"
 

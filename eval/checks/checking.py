@@ -77,7 +77,6 @@ def association_findings(association: str | Callable[..., Any]) -> list[Finding]
         return list(associations.run(method, load(text).thing))
     if text not in METHODS:
         raise UsageError(f"{text}: decides by more than one frame; {', '.join(METHODS)} can be checked")
-
     return list(associations.run(OWN[text], OWN[text]))
 
 

@@ -246,11 +246,6 @@ class Part(NamedTuple):
     name: str
     values: str
 
-    def of(self, run: Run) -> PoseUpdated:
-        """What became of these measurements in a run."""
-        done: PoseUpdated = getattr(run, self.name)
-        return done
-
 
 def measured(task: str) -> Inputs:
     """A log whose robot sees nothing most of the time, with fixes and closures drawn from its path."""
@@ -305,7 +300,7 @@ def _checked(text: str, inputs: Inputs, task: str, part: Part) -> Iterator[Findi
     where = f"with {part.name}: "
     setup = replace(SETUP, gate_poses=None)
     (run, path), (ours, right) = (completed(name, inputs, task, where, setup=setup) for name in (text, "ekf"))
-    done, known = part.of(run), part.of(ours)
+    done, known = (getattr(r, part.name) for r in (run, ours))
     count, used = len(done.used), int(done.used.sum())
     if used < count and part is CLOSURES and not np.isfinite(done.nis[~done.used]).any():
         yield f"{used} of {count} closures used; it no longer knows the earlier frame of the others"
@@ -333,16 +328,14 @@ def _stated(part: Part, done: PoseUpdated, known: PoseUpdated, far: float) -> It
     name, stated = f"{part.name}, NIS", np.isfinite(done.nis)
     if not stated.any():
         return
-    apart = np.abs(done.nis - known.nis)[stated] / np.maximum(known.nis, known.dof)[stated]
-    i = int(np.argmax(apart))
-    allowed = RELATIVE if far <= EXACT else APPROXIMATE
-    row = int(np.flatnonzero(stated)[i])
-    if apart[i] > allowed:
+    apart = np.where(stated, np.abs(done.nis - known.nis) / np.maximum(known.nis, known.dof), 0.0)
+    row = int(np.argmax(apart))
+    if apart[row] > (RELATIVE if far <= EXACT else APPROXIMATE):
         right = f"{known.nis[row]:.3g} is that of its innovation before it is used, nu' S^-1 nu"
         which = f"{part.name[: -2 if part is FIXES else -1]} {row}"
         yield Finding(name, False, f"{which}: NIS {done.nis[row]:.3g}; {right}")
     else:
-        yield Finding(name, True, f"stated of {int(stated.sum())}, within {100.0 * apart[i]:.2g} %")
+        yield Finding(name, True, f"stated of {int(stated.sum())}, within {100.0 * apart[row]:.2g} %")
 
 
 def _gated(text: str, inputs: Inputs, task: str, part: Part, right: Array) -> Iterator[Finding]:
@@ -353,7 +346,7 @@ def _gated(text: str, inputs: Inputs, task: str, part: Part, right: Array) -> It
     changed: dict[str, Any] = {part.name: replace(getattr(inputs, part.name), **{part.values: values})}
     where = f"with {part.name}, one of them wrong: "
     run, path = completed(text, replace(inputs, **changed), task, where, setup=setup)
-    if part.of(run).used[row] and np.hypot(*(path.pose - right)[:, :2].T).max() > 0.05 * FAR:
+    if getattr(run, part.name).used[row] and np.hypot(*(path.pose - right)[:, :2].T).max() > 0.05 * FAR:
         yield Finding(name, False, f"one that is {FAR:.0f} m off was used; `gate` is {PROBABILITY}, of chi-square")
     else:
         yield Finding(name, True, f"one that is {FAR:.0f} m off was rejected")

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data.inputs import CLUTTER, Increments, Inputs, LabelledObservations, LandmarkMap, Observations, Prior
+from data.inputs import CLUTTER, Increments, Inputs, LabelledObservations, LandmarkMap, Prior
 from data.log import Log
 from data.se2 import Array, between, compose, rotation, wrap_angle
 from data.sensors import RangeBearing, RelativePoint
@@ -116,9 +116,8 @@ def noise_free(log: Log) -> Log:
     mean[1:] = between(t.pose[:-1], t.pose[1:])
     o = r.observations
     z = r.sensor.predict(t.pose[o.frame], t.landmarks.positions(t.landmark_of))
-    moved, seen = Increments(mean, r.increments.covariance), Observations(o.frame, z, o.R)
-    exact = replace(r, prior=Prior(t.pose[0], r.prior.covariance), increments=moved, observations=seen)
-    return replace(log, recorded=exact)
+    moved, prior = Increments(mean, r.increments.covariance), Prior(t.pose[0], r.prior.covariance)
+    return replace(log, recorded=replace(r, prior=prior, increments=moved, observations=replace(o, z=z)))
 
 
 def straight(log: Log) -> Log:
@@ -136,8 +135,8 @@ def silent(log: Log, frames: slice) -> Log:
     r, t = log.recorded, log.truth
     assert t.landmark_of is not None
     seen = ~np.isin(r.observations.frame, np.arange(len(r))[frames])
-    o = Observations(r.observations.frame[seen], r.observations.z[seen], r.observations.R[seen])
-    return replace(log, recorded=replace(r, observations=o), truth=replace(t, landmark_of=t.landmark_of[seen]))
+    r = replace(r, observations=r.observations.only(seen))
+    return replace(log, recorded=r, truth=replace(t, landmark_of=t.landmark_of[seen]))
 
 
 def turned(inputs: Inputs, angle: float) -> Inputs:

@@ -456,7 +456,7 @@ def statistics(
         if len(gross) < len(left):
             by_kind, by_axis = components(without(rest.system, gross, order), gross, order, of, rng)
     whole_rows = np.concatenate([each.ravel() for each in rows])
-    every = [factors.row_redundancies(s).ravel() for s in seen]
+    every = [(1.0 - s.weight[:, None] * np.einsum("nij,nj->ni", s.V**2, s.h)).ravel() for s in seen]
     by_axis = replace(by_axis, redundancy=np.bincount(whole_rows, np.concatenate(every), len(axis)).astype(float))
     log_p = [c.log_p for c in together]
     if wrong is not None:
@@ -494,18 +494,14 @@ def smallest_p(f: linear.Factored, seen: Sequence[Directions], count: int, rng: 
     for first in range(0, count, linear.PART):
         part = slice(first, min(count, first + linear.PART))
         r = residuals(f, A, root * rng.standard_normal((A.shape[0], part.stop - part.start))) / root
-        largest: dict[int, Array] = {}
         at = 0
         for g, s in zip(f.system.groups, seen, strict=True):
             n, d = g.r.shape
             T = s.tested(r[at : at + n * d].reshape(n, d, -1))
             rank = np.sum(s.R > 0.0, 1)
             for k in np.unique(rank[rank > 0]).tolist():
-                most = T[rank == k].max(0)
-                largest[k] = np.maximum(largest[k], most) if k in largest else most
+                out[part] = np.minimum(out[part], log_tail(T[rank == k].max(0), k))
             at += n * d
-        for k, most in largest.items():
-            out[part] = np.minimum(out[part], log_tail(most, k))
     return out
 
 
@@ -540,11 +536,8 @@ def axes_of(of: Kinds, system: linear.System) -> tuple[IntArray, list[IntArray]]
     axis = np.array([(k, a) for k, names in enumerate(of.axes) for a in (range(len(names)) or (-1,))])
     begin: IntArray = np.searchsorted(axis[:, 0], np.arange(len(of.axes)))
     split = np.array([len(names) > 0 for names in of.axes])
-    rows: list[IntArray] = []
-    for g in system.groups:
-        kind = of.of[g.factor]
-        rows.append(begin[kind][:, None] + np.where(split[kind][:, None], np.arange(g.r.shape[1]), 0))
-    return axis, rows
+    of_group = [(of.of[g.factor], np.arange(g.r.shape[1])) for g in system.groups]
+    return axis, [begin[kind][:, None] + np.where(split[kind][:, None], row, 0) for kind, row in of_group]
 
 
 def left_out(
@@ -578,14 +571,17 @@ def condition(f: linear.Factored, part: IntArray, metres: Sequence[IntArray], sh
     """
     sizes = tuple(sorted(np.bincount(part).tolist(), reverse=True))
     gauge, scale, loose = 0, 0, list[Loose]()
-    N = _null(f, f.dropped[-MOST:])
+    A = weighted_rows(f)
+    norm = np.sqrt(np.asarray(A.multiply(A).sum(0)).ravel())
+    unit = np.where(norm > 0.0, norm, 1.0)[:, None]
+    N = _null(f, A, unit)
     placed = np.array([len(each) > 0 for each in metres])
     for p in np.unique(part).tolist() if N.shape[1] else []:
         members = np.flatnonzero(part == p)
         rows = np.concatenate([_columns(f, u) for u in members.tolist()])
         poses = members[placed[members]] if placed[members].any() else members
         mine = N[:, (np.abs(N[rows]) > MOVES).any(0)]
-        grown, mine = _without_growth(f, mine, rows, shape)
+        grown, mine = _without_growth(mine, np.where(np.isin(np.arange(len(unit)), rows)[:, None], shape * unit, 0.0))
         found, rest = _gauge(f, mine, members, poses)
         gauge, scale = gauge + found + grown, scale + grown
         for v, n in zip(members.tolist(), _ranks(f, rest, members).tolist(), strict=True):
@@ -608,11 +604,8 @@ def growth(values: linear.Values, system: linear.System, at: IntArray) -> Array:
     return out
 
 
-def _without_growth(f: linear.Factored, N: Array, rows: IntArray, shape: Array) -> tuple[int, Array]:
-    """Whether a part's scale is free, 1 or 0, and the motions besides."""
-    A = weighted_rows(f)
-    norm = np.sqrt(np.asarray(A.multiply(A).sum(0)).ravel())
-    D = np.where(np.isin(np.arange(len(norm)), rows)[:, None], shape, 0.0) * np.where(norm > 0.0, norm, 1.0)[:, None]
+def _without_growth(N: Array, D: Array) -> tuple[int, Array]:
+    """Whether a part's scale is free, 1 or 0, and the motions besides; D (N, 4): its growth and shifts, in sigmas."""
     if not N.shape[1] or not D[:, 0].any():
         return 0, N
     x = np.linalg.lstsq(np.column_stack([N, D[:, 1:]]), D[:, 0], rcond=None)[0]
@@ -655,13 +648,12 @@ def _columns(f: linear.Factored, v: int) -> IntArray:
     return np.arange(f.at[v], f.at[v] + f.system.dim[v])
 
 
-def _null(f: linear.Factored, dropped: IntArray) -> Array:
-    """Motions (N, k) that cost nothing, one for each dropped column, in sigmas, scaled to 1."""
-    A = weighted_rows(f)
-    norm = np.sqrt(np.asarray(A.multiply(A).sum(0)).ravel())[:, None]
+def _null(f: linear.Factored, A: csr_matrix, unit: Array) -> Array:
+    """Motions (N, k) that cost nothing, one for each dropped column, in sigmas `unit` (N, 1), scaled to 1."""
+    dropped = f.dropped[-MOST:]
     n = linear.solved(f, np.asarray(-(A.T @ A[:, dropped]).toarray()))
     n[dropped, np.arange(len(dropped))] += 1.0
-    n *= np.where(norm > 0.0, norm, 1.0)
+    n *= unit
     return np.asarray(n / np.maximum(np.abs(n).max(0, initial=0.0), np.finfo(float).tiny))
 
 
@@ -670,11 +662,8 @@ def _duplicates(f: linear.Factored) -> tuple[tuple[int, int], ...]:
     out = []
     for g in f.system.groups:
         for i, variables, A, r in zip(g.factor.tolist(), g.variables, g.A, g.r, strict=True):
-            key = variables.tobytes() + A.tobytes() + r.tobytes()
-            if key in seen:
-                out.append((seen[key], i))
-            else:
-                seen[key] = i
+            if (first := seen.setdefault(variables.tobytes() + A.tobytes() + r.tobytes(), i)) != i:
+                out.append((first, i))
     return tuple(out)
 
 

@@ -70,6 +70,6 @@ def _audit(options: argparse.Namespace, prog: str) -> int:
         write_audit(report, options.out, f"Audit of {name}", f"{prog} {name}")
         sys.stdout.write(f"\nwritten: {options.out.absolute()}\n")
     if options.rescale is not None:
-        table = cured(found, options.rescale, options.draws, options.seed, options.rejected)
+        table = cured(found, options.rescale, options.draws, options.seed, robust=options.rejected == "robust")
         sys.stdout.write(f"\n{shown(table).to_string(index=False)}\nwritten: {options.rescale.absolute()}\n")
     return int(report.rejected)

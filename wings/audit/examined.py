@@ -238,15 +238,14 @@ def reported(a: Audit, graph: Graph, values: Values, resolve: int = 0) -> AuditR
 def tables(a: Statistics) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
     """The tables `factors`, `kinds` and `components` of an `AuditReport`."""
     t, of = a.factors, a.kinds.of
-    unchecked = np.where(np.isfinite(t.redundancy), t.redundancy < UNCHECKED * t.dim, False)
+    unchecked, p = t.redundancy < UNCHECKED * t.dim, _p_values(t.log_p, a.log_p_family)
     factors = pd.DataFrame(
         {
             "keys": list(a.keys), "kind": [a.kinds.names[k] if k >= 0 else "" for k in of.tolist()], "dim": t.dim,
             "chi2": t.chi2, "redundancy": t.redundancy, "unchecked": unchecked, "deleted": t.deleted, "rank": t.rank,
-            **_p_values(t.log_p, a.log_p_family), "minimal_error": t.minimal_error, "influence_m": t.moved,
+            "p": p["p"], "p_family": p["p_family"], "minimal_error": t.minimal_error, "influence_m": t.moved,
             "p_drawn": a.p_drawn, "missed_m": t.missed, "weight": t.weight, "cost": t.cost,
-            "wrong": np.isin(np.arange(len(t.dim)), a.wrong), "resolved_m": np.nan, "resolved_cost": np.nan,
-            **_logarithms(t.log_p, a.log_p_family),
+            "wrong": np.isin(np.arange(len(t.dim)), a.wrong), "resolved_m": np.nan, "resolved_cost": np.nan, **p,
         }
     )  # fmt: skip
     for column in ("chi2", "redundancy", "deleted", "influence_m", "missed_m", "cost"):
@@ -262,8 +261,7 @@ def tables(a: Statistics) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
             "n": n.astype(int), "dim": total(t.dim).astype(int), "chi2": _settled(total(t.chi2)),
             "redundancy": _settled(total(t.redundancy)), "component": a.by_kind.component, "se": a.by_kind.error,
             "sigma_factor": np.sqrt(a.by_kind.component), "unchecked": total(unchecked).astype(int),
-            **_p_values(a.by_kind.log_p, a.log_p_kind), **_logarithms(a.by_kind.log_p, a.log_p_kind),
-            "assumed": np.isin(a.kinds.names, a.kinds.assumed),
+            **_p_values(a.by_kind.log_p, a.log_p_kind), "assumed": np.isin(a.kinds.names, a.kinds.assumed),
         }, index=pd.Index(a.kinds.names, name="kind"),
     )  # fmt: skip
     divided = [i for i, (_, x) in enumerate(a.axis.tolist()) if x >= 0]
@@ -274,7 +272,6 @@ def tables(a: Statistics) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
             "redundancy": _settled(a.by_axis.redundancy[divided]), "component": a.by_axis.component[divided],
             "se": a.by_axis.error[divided], "sigma_factor": np.sqrt(a.by_axis.component[divided]),
             **_p_values(a.by_axis.log_p[divided], a.log_p_axis[divided]),
-            **_logarithms(a.by_axis.log_p[divided], a.log_p_axis[divided]),
         }
     )  # fmt: skip
     return factors, kinds, components
@@ -286,11 +283,9 @@ def _settled(of: Array) -> Array:
 
 
 def _p_values(log_p: Array, log_p_family: Array) -> dict[str, Array]:
-    return {"p": np.exp(log_p), "p_family": np.exp(log_p_family)}
-
-
-def _logarithms(log_p: Array, log_p_family: Array) -> dict[str, Array]:
-    return {LOG10 + "p": log_p / np.log(10.0), LOG10 + "p_family": log_p_family / np.log(10.0)}
+    """P values, then their logarithms."""
+    each = {"p": log_p, "p_family": log_p_family}
+    return {what: np.exp(v) for what, v in each.items()} | {LOG10 + what: v / np.log(10.0) for what, v in each.items()}
 
 
 def printable(frame: pd.DataFrame) -> pd.DataFrame:

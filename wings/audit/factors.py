@@ -171,11 +171,6 @@ def examine(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArray])
     return out
 
 
-def row_redundancies(s: Directions) -> Array:
-    """Redundancy (n, d) of each row of a group."""
-    return np.asarray(1.0 - s.weight[:, None] * np.einsum("nij,nj->ni", s.V**2, s.h))
-
-
 def tests(f: Factored, seen: Sequence[Directions]) -> tuple[Array, IntArray]:
     """T (F,) of each factor and its degrees of freedom (F,), 0 where nothing sees it."""
     T, rank = np.zeros(f.system.size), np.zeros(f.system.size, np.int64)

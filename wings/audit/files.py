@@ -116,7 +116,7 @@ def build(file: GraphFile, robust: Collection[int] = ()) -> tuple[gtsam.Nonlinea
         for key in dict.fromkeys(file.fixed):
             place = key if key in file.poses else point_key(key)
             if values.exists(place):
-                graph.add(_fixed(values, place, (file.poses | file.points)[key][0]))
+                graph.add(_tied(values, place, N.Constrained.All))
                 names.append("fixed")
     return graph, values, names
 
@@ -147,13 +147,12 @@ def _places(file: GraphFile) -> dict[int, tuple[bool, int]]:
 NAMES = {"BR": "bearing-range", "EDGE_BEARING_SE2_XY": "bearing", "EDGE_RANGE_SE2_XY": "range"}  # of kinds, by tag
 
 
-def _fixed(values: gtsam.Values, key: int, kind: str) -> gtsam.NonlinearFactor:
-    if kind == POSE2:
-        return gtsam.PriorFactorPose2(key, values.atPose2(key), N.Constrained.All(3))
-    if kind == POSE3:
-        return gtsam.PriorFactorPose3(key, values.atPose3(key), N.Constrained.All(6))
-    point = values.atPoint2(key) if kind == POINT2 else values.atPoint3(key)
-    return gtsam.PriorFactorVector(key, point, N.Constrained.All(len(point)))
+def _tied(values: gtsam.Values, key: int, noise: Callable[[int], Any]) -> Any:
+    """A prior of a variable at its value; `noise` of so many dimensions."""
+    value: Any = value_of(values, key)
+    kinds: dict[Any, Any] = {gtsam.Pose2: gtsam.PriorFactorPose2, gtsam.Pose3: gtsam.PriorFactorPose3}
+    size = len(value) if isinstance(value, np.ndarray) else value.dim()
+    return kinds.get(type(value), gtsam.PriorFactorVector)(key, value, noise(size))
 
 
 def _noise(edge: Edge, carried: Array | None = None) -> Any:
@@ -320,22 +319,14 @@ def _by_gtsam(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, dogleg
     exact = gtsam.DoglegParams() if dogleg else gtsam.LevenbergMarquardtParams()
     exact.setRelativeErrorTol(SETTLED)  # gross errors slow it down: each step of Gauss-Newton gains half the last
     exact.setAbsoluteErrorTol(SETTLED)
-    hold(held, values)
+    poses = (key for key in values.keys() if isinstance(value_of(values, key), gtsam.Pose2 | gtsam.Pose3))  # noqa: SIM118
+    if (key := next(poses, None)) is not None:  # a weak prior at the first pose only ties the gauge
+        held.add(_tied(values, key, lambda d: N.Isotropic.Sigma(d, 1.0)))
     with suppress(RuntimeError):
         if isinstance(exact, gtsam.DoglegParams):
             return gtsam.DoglegOptimizer(held, values, exact).optimize()
         return gtsam.LevenbergMarquardtOptimizer(held, values, exact).optimize()
     return values
-
-
-def hold(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
-    """Add a weak prior at the first pose, which only ties the gauge."""
-    values_of = ((key, value_of(values, key)) for key in values.keys())  # noqa: SIM118
-    key, pose = next(((key, v) for key, v in values_of if isinstance(v, gtsam.Pose2 | gtsam.Pose3)), (0, None))
-    if isinstance(pose, gtsam.Pose2):
-        graph.add(gtsam.PriorFactorPose2(key, pose, N.Isotropic.Sigma(3, 1.0)))
-    elif pose is not None:
-        graph.add(gtsam.PriorFactorPose3(key, pose, N.Isotropic.Sigma(6, 1.0)))
 
 
 def built_by(place: str) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:

@@ -48,43 +48,32 @@ def kinds(graph: gtsam.NonlinearFactorGraph, by: Grouping = None) -> Kinds:
     every = _roles(factors)
     roles = {i: name for i, name in every.items() if not own.get(i)}
     names = _divided(factors, roles | {i: name for i, name in own.items() if name}) if roles else own
-    known = list(dict.fromkeys(names.values()))
-    place = {name: k for k, name in enumerate(known)}
-    of = np.full(graph.size(), -1)
-    for i, name in names.items():
-        of[i] = place[name]
-    axes: list[tuple[str, ...] | None] = [None] * len(known)
+    place = {name: k for k, name in enumerate(dict.fromkeys(names.values()))}
+    of = np.array([place[names[i]] if i in names else -1 for i in range(graph.size())], np.int64)
+    axes: dict[str, set[tuple[str, ...]]] = {name: set() for name in place}
     for i, factor in factors.items():
-        k = int(of[i])
-        if axes[k] is None or axes[k]:
-            mine = _axes(factor)
-            axes[k] = mine if axes[k] in (None, mine) else ()
+        axes[names[i]].add(_axes(factor))
     loops = np.array([every.get(i, "").startswith(LOOP) for i in range(graph.size())], bool)
     stated = {names[i] for i, factor in factors.items() if origin_of(factor) is Origin.STATED}
-    assumed = tuple(name for name in known if name not in stated)
-    return Kinds(of, tuple(known), tuple(a or () for a in axes), loops, assumed)
+    assumed = tuple(name for name in place if name not in stated)
+    return Kinds(of, tuple(place), tuple(a.pop() if len(a) == 1 else () for a in axes.values()), loops, assumed)
 
 
 def _roles(factors: dict[int, gtsam.NonlinearFactor]) -> dict[int, str]:
     """What each factor measures; a relation of neighbours in the order of keys of one letter is odometry."""
-    pairs: dict[int, tuple[int, int]] = {}
-    ends: set[int] = set()
-    for i, factor in factors.items():
-        if type(factor).__name__.startswith(("BetweenFactor", "FrobeniusBetween")):
-            a, b = factor.keys()
-            pairs[i] = (min(a, b), max(a, b))
-            ends.update((a, b))
-    rank = {key: k for k, key in enumerate(sorted(ends))}
+    relations = ("BetweenFactor", "FrobeniusBetween")
+    pairs = {i: sorted(f.keys()) for i, f in factors.items() if type(f).__name__.startswith(relations)}
+    rank = {key: k for k, key in enumerate(sorted({key for pair in pairs.values() for key in pair}))}
     names = {}
     for i, factor in factors.items():
         name = type(factor).__name__
         if i in pairs:
             a, b = pairs[i]
             names[i] = ODOMETRY if rank[b] == rank[a] + 1 and a >> 56 == b >> 56 else LOOP
-        elif name.startswith(("PriorFactor", "ExtendedPrior", "NonlinearEquality", "GPSFactor")):
-            names[i] = PRIOR if not name.startswith("GPS") else "GPS"
+        elif name.startswith(("PriorFactor", "ExtendedPrior", "NonlinearEquality")):
+            names[i] = PRIOR
         else:
-            names[i] = name
+            names[i] = "GPS" if name.startswith("GPSFactor") else name
     several = defaultdict(set)
     for i, factor in factors.items():
         several[names[i]].add(type(factor).__name__)

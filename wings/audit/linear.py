@@ -184,8 +184,7 @@ def linearize(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> System
     """
     dims = values.dims()
     used = sorted(graph.keyVector())
-    absent = next((key for key in used if key not in dims), None)
-    if absent is not None:
+    if (absent := next((key for key in used if key not in dims), None)) is not None:
         number = next(i for i in range(graph.size()) if graph.exists(i) and absent in set(graph.at(i).keys()))
         raise DataError(f"factor {number}: {name(absent)} has no value; a value for each variable is needed")
     place = {key: k for k, key in enumerate(used)}

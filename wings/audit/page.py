@@ -118,17 +118,14 @@ def _minima(ends: dict[str, Values], graph: Graph, ours: Values, report: AuditRe
     return tuple(out)
 
 
-LEAVE_OUT, ROBUST = "leave-out", "robust"  # what becomes of rejected factors
-
-
-def cured(before: Opened, out: Path, draws: int = DRAWS, seed: int = 0, rejected: str = LEAVE_OUT) -> pd.DataFrame:
-    """Write the graph with variance components applied and rejected factors cured (`rejected`: how); a row before and
+def cured(before: Opened, out: Path, draws: int = DRAWS, seed: int = 0, *, robust: bool = False) -> pd.DataFrame:
+    """Write the graph with variance components applied and rejected factors left out, or `robust`; a row before and
     one after. UsageError: a graph of no file. DataError: a part would have no factor.
     """
     if before.file is None:
         raise UsageError(f"--rescale {out}: only a graph file can be written; a .g2o or .graph is needed")
     with threadpool_limits(1):
-        made = cure(before.file, before.report.audit, before.values, robust=rejected == ROBUST)
+        made = cure(before.file, before.report.audit, before.values, robust=robust)
         text = with_information(before.file, made.information, made.left_out)
         out.write_text(text, encoding="utf-8", newline="\n")
         after = _of_file(graph_file_of(out, text), partial(examined, draws=draws, seed=seed))

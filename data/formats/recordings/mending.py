@@ -152,11 +152,8 @@ def without_jumps(stamp: Array) -> tuple[Array, int, int]:
     middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, NEXT), axis=1)
     before, following = middle[: len(stamp)], middle[NEXT + 1 :][: len(stamp)]
     high, low = stamp - following > JUMP, np.minimum(before, following) - stamp > JUMP
-    broken = high | low
-    if not broken.any():
-        return stamp, 0, 0
+    broken, mended = high | low, stamp.copy()
     fine = np.flatnonzero(~broken)
-    mended = stamp.copy()
     mended[broken] = np.interp(np.flatnonzero(broken), fine, stamp[fine]) if len(fine) else stamp[broken]
     return mended, int(high.sum()), int(low.sum())
 
@@ -170,8 +167,6 @@ def without_resets(stamp: Array) -> tuple[Array, list[int]]:
         middle = np.median(np.lib.stride_tricks.sliding_window_view(stamp, NEXT), axis=1)
         before[NEXT - 1 :], after[: len(middle)] = middle, middle
     found = np.flatnonzero((stamp[:-1] - stamp[1:] > JUMP) & (before[:-1] - after[1:] > JUMP))
-    if not len(found):
-        return stamp, []
     mended, step = stamp.copy(), float(np.median(np.abs(np.diff(stamp))))
     for i in found.tolist():
         mended[i + 1 :] += mended[i] + step - mended[i + 1]

@@ -69,11 +69,10 @@ def load_plaza(number: int, scale: float = SCALE, sigma: float = SIGMA) -> Log:
         notes.append(f"{counted(int((~inside).sum()), 'range')} before or after all odometry: left out.")
     if float(np.abs(se2.wrap_angle(odometry[:, 2] - np.diff(truth[:, 3]))).max()) < 1e-9:
         notes.append("The true headings turn exactly as the odometry does, so they are no independent reference.")
-    source: dict[str, object] = {"kind": "plaza", "set": number, **source_file(path), "clock": begin}
-    source |= {"range_scale": scale}
     return Log(
         f"plaza-{number}", recorded, Truth(truth_at(truth[:, 0], true, time), landmarks, label), label=label,
-        labels_are_sensed=True, source=source, notes=tuple(notes),
+        labels_are_sensed=True, notes=tuple(notes),
+        source={"kind": "plaza", "set": number, **source_file(path), "clock": begin, "range_scale": scale},
         origins=dict.fromkeys(("odometry_noise", "observation_noise", "max_range"), Origin.INFERRED)
         | {"prior": Origin.ASSUMED} | ({"observation_noise": Origin.GIVEN} if sigma != SIGMA else {}),
     )  # fmt: skip

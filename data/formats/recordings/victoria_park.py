@@ -9,7 +9,6 @@ Poses and landmarks share one counter in the file; frames are counted without it
 frame number. Recorded by E. Nebot's group in Sydney; this form by M. Kaess (iSAM).
 """
 
-import hashlib
 import importlib.util
 import math
 from pathlib import Path
@@ -17,7 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from data.csv_table import bytes_of, symmetric
+from data.digest import source_file
 from data.errors import DataError
+from data.formats.recordings.laser import FLOOR
 from data.inputs import Increments, Inputs, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances
@@ -28,7 +29,6 @@ from data.truth import Truth
 FILE = "victoria_park.txt"
 SENSOR = RelativePoint(max_range=25.0, min_angle=-0.5 * math.pi, max_angle=0.5 * math.pi)
 """A forward laser. It reaches 80 m, but the trees of this log are 4.6 to 20.7 m away."""
-FLOOR = 1e-10  # Smallest eigenvalue of an increment's covariance; the file's are all larger
 
 
 def bundled_file(name: str = FILE) -> Path:
@@ -46,8 +46,7 @@ def bundled_file(name: str = FILE) -> Path:
 def load_victoria_park() -> Log:
     """The log. The first pose is the origin, exactly. True ids are the file's associations."""
     file = bundled_file()
-    content = bytes_of(file)
-    rows = [line.split() for line in content.decode().splitlines()]
+    rows = [line.split() for line in bytes_of(file).decode().splitlines()]
     is_step = np.array([row[0] == "ODOMETRY" for row in rows])
     steps, seen = (np.array([row[1:] for row, own in zip(rows, is_step, strict=True) if own == of], float)
                    for of in (True, False))  # fmt: skip
@@ -55,7 +54,7 @@ def load_victoria_park() -> Log:
     mean, covariance = np.zeros((n, 3)), np.zeros((n, 3, 3))
     mean[1:] = steps[:, 2:5]
     covariance[1:] = symmetric(steps[:, 5:])
-    covariance, floored = floor_covariances(covariance, FLOOR)
+    covariance, floored = floor_covariances(covariance, FLOOR)  # the file's are all larger
     recorded = Inputs(
         prior=Prior(np.zeros(3), np.zeros((3, 3))), time=np.arange(n, dtype=float),
         increments=Increments(mean, covariance),
@@ -64,7 +63,7 @@ def load_victoria_park() -> Log:
     )  # fmt: skip
     return Log(
         name="victoria-park", recorded=recorded, truth=Truth(landmark_of=seen[:, 1].astype(np.int64)),
-        source={"kind": "victoria-park", "file": file.name, "sha256": hashlib.sha256(content).hexdigest()},
+        source={"kind": "victoria-park", **source_file(file)},
         notes=("No ground truth: poses are compared with the batch smoother's.",),
         origins={"max_range": Origin.ASSUMED},
     )  # fmt: skip

@@ -123,8 +123,7 @@ def _of_file(path: Path) -> ModuleType:
     """The module of a file, which may import those beside it."""
     source = path.read_bytes()
     content = hashlib.sha256(source).hexdigest()
-    known = _FILES.get((str(path), content))
-    if known is not None:
+    if (known := _FILES.get((str(path), content))) is not None:
         return known
     if str(path.parent) not in sys.path:
         sys.path.append(str(path.parent))  # last, so that nothing there shadows other imports
@@ -572,11 +571,9 @@ class OwnInnovations:
         if self._why or self._expect is None or not len(self._rows):
             return
         try:
-            e = self._expect(observations) if expected is None else expected
-            if expected is None and at is not None and e.elsewhere is not None:
-                e = e.elsewhere(at)
-            if expected is None:
-                e = aligned_with_observations(e, self._sensor)
+            if (e := expected) is None:
+                e = self._expect(observations)
+                e = aligned_with_observations(e if at is None or e.elsewhere is None else e.elsewhere(at), self._sensor)
             absent = np.setdiff1d(decisions[self._rows], e.number)
             if len(absent):
                 self._why = f"its `expect` leaves out landmark {absent[0]}, which was paired"
@@ -620,13 +617,8 @@ class OwnInnovations:
         """Messages about what it states otherwise, or what cannot be compared."""
         found = []
         if self._differing:
-            per_dof = max(self._dof, 1)
-            found.append(
-                notice(
-                    Code.NIS_STATED, frames=self._differing, of=self._frames,
-                    stated=self._stated / per_dof, formed=self._formed / per_dof,
-                )
-            )  # fmt: skip
+            stated, formed = (each / max(self._dof, 1) for each in (self._stated, self._formed))
+            found.append(notice(Code.NIS_STATED, frames=self._differing, of=self._frames, stated=stated, formed=formed))
         if self._unchecked or (self._why and self._expect is not None):
             found.append(notice(Code.NIS_UNCHECKED, why=self._why, stated=self._unchecked))
         return found
@@ -712,8 +704,7 @@ def able(names: Sequence[str], task: str, association: str, setup: Setup) -> lis
 
 def require(text: str, task: str, association: str, setup: Setup) -> None:
     """Raises CannotError if anything is lacking."""
-    why = lack(text, task, association, setup)
-    if why is not None:
+    if (why := lack(text, task, association, setup)) is not None:
         raise CannotError(why)
 
 

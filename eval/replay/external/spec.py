@@ -157,11 +157,10 @@ def own_or_foreign(kind: str, *, least: int = 0) -> Read:
         found = tuple(one_settled(label, text, kind) for text in given)
         called = [name_of(text).lower() for text in found]
         for i, text in enumerate(found):
-            if called.index(called[i]) != i:
-                other = found[called.index(called[i])]
-                if other == text:
+            if (first := called.index(called[i])) != i:
+                if found[first] == text:
                     raise UsageError(f"{label} {','.join(given)}: named twice")
-                what = f"{label} {given[i]}: the name {name_of(text)} is that of {shown(other)}, too"
+                what = f"{label} {given[i]}: the name {name_of(text)} is that of {shown(found[first])}, too"
                 raise UsageError(f"{what}; put another one before it, as in NAME=...")
         if len(found) < least:
             raise UsageError(f"{label}: at least one is needed")

@@ -246,7 +246,7 @@ def test_a_cure_is_applied(written, tmp_path, capsys):
     assert before["chi2_per_freedom"] > 1.3
     assert after["chi2_per_freedom"] == pytest.approx(1.0, abs=0.02)
     assert after["rejected"] == 0
-    robust = page.cured(page.opened(path, None, draws=0), out, draws=0, rejected="robust").to_dict("records")[1]
+    robust = page.cured(page.opened(path, None, draws=0), out, draws=0, robust=True).to_dict("records")[1]
     assert robust["robust"] >= 1
     assert robust["left_out"] == 0
     assert robust["factors"] == 140
