@@ -101,8 +101,7 @@ def _plain_file(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise DataError.at(path, f"cannot be read: {error.strerror}") from None
     except (pickle.UnpicklingError, EOFError, ImportError, RecursionError, MemoryError, *BROKEN) as error:
-        what = " ".join(str(error).split())[:100]
-        raise DataError.at(path, f"no plain numbers, lists and arrays: {what}") from None
+        raise DataError.at(path, f"no plain numbers, lists and arrays: {' '.join(str(error).split())[:100]}") from None
     return found if isinstance(found, dict) else {path.stem: found}
 
 

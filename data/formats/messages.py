@@ -160,8 +160,7 @@ def _blocks(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
     for number, key, value in pairs:
         same = dict(rows[-1][1]) if rows else {}
         if not rows or key in same:
-            before = {} if key == names[0] else dict(list(same.items())[: list(same).index(key)])
-            rows.append((number, before))
+            rows.append((number, {} if key == names[0] else dict(list(same.items())[: list(same).index(key)])))
         rows[-1][1][key] = value
     return [(1, ",".join(names)), *((number, ",".join(row.get(n, "") for n in names)) for number, row in rows)]
 

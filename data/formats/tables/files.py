@@ -66,15 +66,14 @@ class TextTable:
     def find(self, name: str) -> int | None:
         """Index of the column of that name, or number counted from 1; None without one, DataError for several."""
         name = name if name in self.names else name.lstrip("".join(COMMENT))  # of a header that is a comment
-        listed = [] if name in self.names else [k for k, own in enumerate(self.names) if own.startswith(f"{name}_")]
-        if len(listed) > NAMED:
-            return listed[0]  # the first of a matrix, or of lists
         if name in self.names:
             several = [str(k + 1) for k, other in enumerate(self.names) if other == name]
             if len(several) > 1 and any(len({row[int(k) - 1] for k in several}) > 1 for row in self.rows):
                 what = f"columns {' and '.join(several)} are named {name!r}; name one by its number, as in"
                 raise DataError.at(self.path, f"{what} --columns KEY={several[0]}")
             return self.names.index(name)
+        if len(listed := [k for k, own in enumerate(self.names) if own.startswith(f"{name}_")]) > NAMED:
+            return listed[0]  # the first of a matrix, or of lists
         if name.isdecimal() and 1 <= int(name) <= len(self.names):
             return int(name) - 1
         alike = [k for k, own in enumerate(self.names) if self.named and words_of(own)[0] == words_of(name)[0] != []]
@@ -86,12 +85,12 @@ class TextTable:
             return f"columns 1 to {len(self.names)}, without names{kinds_of(self.path, self.rows)}"
         if len(topics := [topic for topic in topics_in(self.names) if topic.startswith("/")]) > 1:
             return f"topics {', '.join(topics)}, as in {self.path}:{topics[0]}"
-        text = ""
+        parts = []
         for rows, names in (self.series() or {0: list(self.names)}).items():
             runs = [list(run) for _, run in groupby(names, key=stem_of)]
-            text += "; " * bool(text)
-            text += ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 3 else ", ".join(run) for run in runs)
-            text += f" ({rows} rows)" * bool(rows)
+            listed = ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 3 else ", ".join(run) for run in runs)
+            parts.append(listed + f" ({rows} rows)" * bool(rows))
+        text = "; ".join(parts)
         return "columns " + (text if len(text) <= NAMES_SHOWN else text[:NAMES_SHOWN] + " ...")
 
     def series(self) -> dict[int, list[str]]:
@@ -180,30 +179,28 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
     names: tuple[str, ...] | None = None
     if seen and (found := _by_rows(rows, np.searchsorted(every, number).tolist(), len(every), odometry)):
         names, rows, row_of = found
-        of = ",".join(names[:-1])
-        said = f"inferred: a row for each of the odometry, of any number of observations of columns {of}"
-        return TextTable(path, names, tuple(rows), number[row_of], named=True, cut=said, steps=len(every))
+        cut = "inferred: a row for each of the odometry, of any number of observations of columns "
+        cut += ",".join(names[:-1])
+        return TextTable(path, names, tuple(rows), number[row_of], named=True, cut=cut, steps=len(every))
     if not _is_row(rows[0]):
         names, rows, number = rows[0], rows[1:], number[1:]
     else:
         above = [line.lstrip().lstrip("#%").strip() for i, line in numbered if i < number[0]]
         candidate = _split(above[-1:], separator)
-        ended = len(rows[0]) - (not rows[0][-1])
-        if candidate and len(candidate[0]) in (len(rows[0]), ended):
+        if candidate and len(candidate[0]) in (len(rows[0]), len(rows[0]) - (not rows[0][-1])):
             names = candidate[0]
     if not rows:
         raise DataError.at(path, "a header and no rows; at least one is needed")
     if all(len(r) > 1 and not r[-1] for r in rows) and (names is None or len(names) < len(rows[0]) or not names[-1]):
         rows = [row[:-1] for row in rows]  # a separator ends every line
         names = names[:-1] if names and not names[-1] else names
+    said = [title]
     if cut := cut_end(rows, int(number[-1])):
-        rows, number = rows[:-1], number[:-1]
-    cut = "; ".join(filter(None, (title, cut)))
+        rows, number, said = rows[:-1], number[:-1], [title, cut]
     if each := _each(rows) if names is None else 0:
         number = np.repeat(number, [len(row) // each for row in rows])
         rows = [(row[0], *row[k : k + each]) for row in rows for k in range(1, len(row), each)]
-        told = f"inferred: a row is a stamp and any number of observations of {each} numbers each"
-        cut = f"{cut}; " * bool(cut) + told
+        said.append(f"inferred: a row is a stamp and any number of observations of {each} numbers each")
     if names and len(names) + SLOTS < len(rows[0]):
         names = names if names[-1] else names[:-1]
         if len(listed := [n for n in names if n in LISTED]) == 1:  # one name for all of a list
@@ -213,7 +210,7 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
     early = ends_early(map(len, rows), width, 1) if names is not None and separator != " " else set()
     if early:
         many = f"{sum(len(row) in early for row in rows)} of {len(rows)}"
-        cut = f"{cut}; " * bool(cut) + f"{many} rows end before the header does: their last columns are blank"
+        said.append(f"{many} rows end before the header does: their last columns are blank")
     rows = [row + ("",) * (width - len(row)) if len(row) in early else row for row in rows]
     for row, line in zip(rows, number.tolist(), strict=True):
         if len(row) != width:
@@ -238,6 +235,7 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
     for both in {name for name in stated if "+" in name and {*name.split("+")} <= {*shown}}:  # seconds and nanoseconds
         j, k = (shown.index(part) for part in both.split("+"))
         rows, shown = [(*r, f"{r[j]}.{r[k]:0>9}" if r[j] and r[k] else "") for r in rows], [*shown, both]
+    cut = "; ".join(filter(None, said))
     return TextTable(path, tuple(shown), tuple(rows), number, names is not None, comma, cut)
 
 
@@ -327,14 +325,13 @@ def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
         what = f"files of unequal numbers of {'columns' if below else 'rows'}; as many in each are needed"
         raise DataError.at(path, what + ", or a column of stamps" * (not below))
     if below:
-        names: tuple[str, ...] = ("frame", *first.names)
+        names = ["frame", *first.names]
         rows = tuple((str(k), *row) for k, t in enumerate(tables) for row in t.rows)
     else:
-        each = [[(t.path.stem, k + 1, name) for k, name in enumerate(t.names)] for t in tables]
-        named = [name if t.named else f"{stem}{k}" if len(t.names) > 1 else stem
-                 for t, own in zip(tables, each, strict=True) for stem, k, name in own]  # fmt: skip
-        names, rows = tuple(named), tuple(sum(several, ()) for several in zip(*(t.rows for t in tables), strict=True))
-    return TextTable(path, names, rows, np.arange(1, len(rows) + 1), named=True)
+        names = [name if t.named else f"{t.path.stem}{k}" if len(t.names) > 1 else t.path.stem
+                 for t in tables for k, name in enumerate(t.names, 1)]  # fmt: skip
+        rows = tuple(sum(several, ()) for several in zip(*(t.rows for t in tables), strict=True))
+    return TextTable(path, tuple(names), rows, np.arange(1, len(rows) + 1), named=True)
 
 
 def _by_stamp(path: Path, tables: Sequence[TextTable]) -> TextTable | None:
@@ -374,15 +371,13 @@ def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
     labels = {star: of for star, of in found.items() if len(of) == len(patterns)}
     if not labels:
         raise DataError.at(file.path, f"no column {', '.join(patterns.values())}; it has {file.described()}")
-    taken = {j for of in found.values() for j in of.values()}
-    rest = [j for j in range(len(file.names)) if j not in taken]
-    whole = all(star.isdecimal() for star in labels)
+    rest = sorted({*range(len(file.names))} - {j for of in found.values() for j in of.values()})
     seen = [[k for k, of in enumerate(labels.values()) if _observed(row, of)] for row in file.rows]
     own &= len(set(map(len, seen))) < SLOTS or any(some != list(range(len(some))) for some in seen)
-    named = [star if whole else str(k) for k, star in enumerate(labels)]
-    columns = list(labels.values())
+    named = [*labels] if all(map(str.isdecimal, labels)) else [str(k) for k in range(len(labels))]
+    columns = [of.values() for of in labels.values()]
     rows = [
-        (*(row[j] for j in rest), *(row[j] for j in columns[k].values()), *[named[k]] * own)
+        (*(row[j] for j in rest), *(row[j] for j in columns[k]), *[named[k]] * own)
         for row, some in zip(file.rows, seen, strict=True) for k in some
     ]  # fmt: skip
     line = np.repeat(file.line, list(map(len, seen)))
@@ -525,10 +520,6 @@ MORE: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Quantities that a file may lack, by role; of sensors as of observations."""
 SPEED = ("v", "vel", "velocity", "speed")  # Words of the speed of a wheel
-WHEELS = {
-    side: tuple(name for word in (*SPEED, "tick", "ticks", "count") for name in (f"{side}{word}", f"{word}{side}"))
-    for side in ("left", "right")
-}
 ALSO = {
     "v": ("velocity", "vel", "speed", "linearvelocity", "linearspeed", "linvel", "forwardvelocity", "forwardspeed"),
     "omega": (
@@ -537,7 +528,10 @@ ALSO = {
     "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg", "b", "phi", "azimuth"),
     "dx": ("d", "ds", "deltas", "deltad", "deltax"), "dy": ("deltay",), "dtheta": ("deltatheta", "deltayaw", "dyaw"),
     "steering": ("steer", "steeringangle"), "dt": ("deltat", "deltatime", "timestep"),
-    **WHEELS,
+    **{
+        side: tuple(name for word in (*SPEED, "tick", "ticks", "count") for name in (f"{side}{word}", f"{word}{side}"))
+        for side in ("left", "right")
+    },
     "x": ("gpsx", "uwbx", "east", "easting"), "y": ("gpsy", "uwby", "north", "northing"), "theta": ("orientation",),
     **dict.fromkeys(("label", "id"), ("landmarkid", "beaconid", "markerid", "tagid")),
     "lat": ("latitude",), "lon": ("longitude", "lng"),
@@ -558,8 +552,8 @@ TWIST = {
 def _sideways(file: TextTable, column: int) -> bool:
     """Whether the velocity beside one along x, along y, is not zero."""
     stem, x, end = file.names[column].rpartition("x")
-    beside = f"{stem}y{end}"
-    return bool(x) and beside in file.names and any(_nonzero(row[file.names.index(beside)]) for row in file.rows)
+    beside = [c for c, name in enumerate(file.names) if x and name == f"{stem}y{end}"][:1]
+    return any(is_number(row[c]) and abs(float(row[c])) > 0.0 for c in beside for row in file.rows)
 
 
 def _comes_again(file: TextTable, column: int) -> bool:
@@ -568,14 +562,9 @@ def _comes_again(file: TextTable, column: int) -> bool:
     if not all(map(is_number, ids)) or AGAIN * len({*ids}) > len(ids):
         return False
     number = np.array(ids, float)
-    anew = np.flatnonzero(np.diff(number, prepend=np.inf) <= 0.0)
-    each = np.split(number, anew[1:])
+    each = np.split(number, np.flatnonzero(np.diff(number, prepend=np.inf) <= 0.0)[1:])
     counted_up = all((np.diff(some) == 1.0).all() and some[0] == number.min() for some in each)
     return not (counted_up and len(set(map(len, each))) > 1)
-
-
-def _nonzero(field: str) -> bool:
-    return is_number(field) and abs(float(field)) > 0.0
 
 
 PARTS = {
@@ -591,13 +580,13 @@ COMMANDED = frozenset(
 
 
 @cache
-def meaning(name: str) -> tuple[frozenset[str], str, str]:
-    """The parts that a column's name tells, and role and words of the name without the words that tell them."""
+def meaning(name: str) -> tuple[frozenset[str], tuple[str, str], tuple[str, str]]:
+    """The parts that a column's name tells; role and words of the name, and those without the words that tell parts."""
     words, _ = words_of(name)
     parts = frozenset(part for part, of in PARTS.items() if any(w in of or w.rstrip("s") in of for w in words))
     own = COMMANDED.union(*(PARTS[part] for part in parts))
     rest = [w for w in words if w not in own and w.rstrip("s") not in own]
-    return parts, role_of("_".join(rest))[0], "".join(rest)
+    return parts, (role_of(name)[0], "".join(words)), (role_of("_".join(rest))[0], "".join(rest))
 
 
 EPOCH, CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}, (1.0e9, 2.2e9)
@@ -698,19 +687,16 @@ class Columns:
             return column
         usual = (quantity.replace("theta", "yaw"), quantity)
         meant = {c: meaning(name) for c, name in enumerate(file.names) if file.named}
-        words = (quantity, *ALSO.get(quantity, ()))
-        more = (*words, "id") if quantity == "label" and role not in ROLES[2:] else words
-        also = [c for c, (parts, of, word) in meant.items() if role in parts and (of in usual or word in more)]
+        more = (quantity, *ALSO.get(quantity, ()), *["id"] * (quantity == "label" and role not in ROLES[2:]))
+        whole, apart = ([c for c, m in meant.items() if m[k][0] in usual or m[k][1] in more] for k in (1, 2))
+        also = [c for c in apart if role in meant[c][0]]
         exact = file.named and quantity in file.names and (not also or (role == "odometry" and quantity in TWIST))
         if exact and (file.path, role, file.names.index(quantity)) not in self.intervals:
             return file.find("time" if quantity == "t" and self._headings(file) else quantity)
-        read = {c: (role_of(name)[0], "".join(words_of(name)[0])) for c, name in enumerate(file.names) if file.named}
-        others = [c for c in read if role in PARTS and meant[c][0] and role not in meant[c][0]]
-        read = {c: found for c, found in read.items() if c not in others}
-        also = also or [c for c, (of, word) in read.items() if of in usual or word in more]
-        also = also or [c for c in read if meant[c][1] in usual or meant[c][2] in more]
+        read = [c for c in meant if role not in PARTS or not meant[c][0] or role in meant[c][0]]  # of no other part
+        also = also or [c for c in whole if c in read] or [c for c in apart if c in read]
         also = [c for c in also if not COMMANDED & {*words_of(file.names[c])[0]}] or also
-        also = [c for c in also if quantity != "label" or meant[c][2] != "id" or _comes_again(file, c)]
+        also = [c for c in also if quantity != "label" or meant[c][2][1] != "id" or _comes_again(file, c)]
         if not also and quantity in WITHIN:  # of a field within structs; not the number of a struct that has its own
             last = {c: "".join(words_of(name.rpartition(".")[2])[0]) for c, name in enumerate(file.names) if file.named}
             also = [c for c, word in last.items() if word in ALSO[quantity]]
@@ -718,11 +704,10 @@ class Columns:
         if quantity == "t":  # not the time of recording
             also = [c for c in also if (file.path, role, c) not in self.intervals]
             also = [c for c in also if "header" in file.names[c]] or also
-        if len({read.get(c) for c in also}) == 1 and all(words_of(file.names[c])[1] for c in also):
+        if len({meant[c][1] for c in also}) == 1 and all(words_of(file.names[c])[1] for c in also):
             also = also[:1]  # in another unit
         if not also and quantity in TWIST and role in ("odometry", SECOND):
-            also = [c for c in read if read[c][1].endswith(TWIST[quantity])]
-            also = [c for c in also if not _sideways(file, c)]
+            also = [c for c in read if meant[c][1][1].endswith(TWIST[quantity]) and not _sideways(file, c)]
         if len(also) != 1:
             return self.find(file, role, EARTH[quantity]) if quantity in EARTH and role in ON_EARTH else None
         note = f"{file.path.name}: {quantity} of {role} is read from {file.names[also[0]]}"
@@ -827,8 +812,7 @@ class Columns:
         if in_degrees(pose) and not {key, "theta", "angle"} & set(self.units.given):
             self.origins["units"] = Origin.INFERRED
             self.units.given[key] = "deg"
-            largest = float(np.nanmax(np.abs(pose[:, 2])))
-            told = f"headings reach {largest:.4g}, and follow the motion as degrees only"
+            told = f"headings reach {np.nanmax(np.abs(pose[:, 2])):.4g}, and follow the motion as degrees only"
             self.notes.append(
                 f"{file.path.name}: inferred: --unit {key}=deg, as {told} (--unit {key}=rad reads them as written)"
             )
@@ -863,10 +847,8 @@ class Columns:
             if (c := columns[a]) == columns[b] and len({row[c] for row in file.rows}) > 1:
                 raise DataError.at(file.path, f"column {file.names[c]} is named for {a} and {b} of {role}; name two")
         self.read |= {(file.path, file.names[c]) for c in (*columns.values(), *named.values())}
-        empty = np.ones(len(file), bool)
-        for q in quantities:
-            if q not in INSTANTS:
-                empty &= np.array([row[columns[q]].lower() in ("", "nan") for row in file.rows], bool)
+        measured = [columns[q] for q in quantities if q not in INSTANTS]
+        empty = np.array([all(row[c].lower() in ("", "nan") for c in measured) for row in file.rows], bool)
         ended = empty & np.array(["t" in quantities and not row[columns["t"]] for row in file.rows], bool)
         empty &= ~ended  # below the end of an array that is shorter than others
         if role == "truth" and "t" in columns and 2 * empty.sum() > len(file):  # rows of several topics

@@ -226,8 +226,7 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
             table = replace(table, columns={**table.columns, "label": ids[i].astype(float)})
         notes.append(f"{file.path.name}: inferred: {counted(each, 'observation')} in each of {steps} rows{said}")
     what = f"{OBSERVATIONS} of {name}" if name else OBSERVATIONS
-    nothing = np.zeros(len(z), np.int64)
-    found = Rows(what, "observation", table, at, stamped, z, np.tile(of.sigma, (len(z), 1)), nothing)
+    found = Rows(what, "observation", table, at, stamped, z, np.tile(of.sigma, (len(z), 1)), 0 * table.line)
     if back := int((np.diff(at[:, 0]) < 0.0).sum()):
         far = -float(np.diff(at[:, 0]).min())
         anew = f", one by {far:.6g} s: did the clock begin anew there?" * (back == 1 and stamped and far > ANEW)
@@ -356,9 +355,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
         parts.append(Rows(SCANS, "scan", stamps, scanned.stamp[:, None], True, z, z, 0 * stamps.line).part(once))
         notes += scanned.notes
         columns.asked += scanned.asked
-    second = None
-    if wanted.second is not None:
-        second = read_second(texts[SECOND], wanted.second, columns, odometry)
+    second = None if wanted.second is None else read_second(texts[SECOND], wanted.second, columns, odometry)
     wanted = replace(wanted, every_row=wanted.every_row or not (parts or second))  # a truth alone is at every row
     true = _true_poses(texts["truth"], wanted, odometry) if "truth" in texts else None
     if isinstance(wanted.prior, str) and true is not None:
@@ -374,10 +371,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     if (c := found.get("closures")) is not None:
         first, last = c.frames(time).T
         measured.append(Closures(first, last, c.z, c.covariance, c.source, c.names))
-    scans = None
-    if scanned is not None:
-        s = found[SCANS]
-        scans = Scans(scanned.scanner, s.frames(time)[:, 0], s.z)
+    scans = None if scanned is None else Scans(scanned.scanner, found[SCANS].frames(time)[:, 0], found[SCANS].z)
     if second is not None and wanted.second is not None:
         taken = [name for closures in measured for name in closures.sources]
         measured.append(second_closures(texts[SECOND], second, wanted.second, time, taken, notes))
@@ -413,9 +407,8 @@ def read_log(name: str, wanted: Wanted) -> Recording:
             have = unknown(sensor.sees, sorted(kinds)) if kinds else "not in the map, which has no kinds"
             text = f"{sensor.label}={sensor.sees}" if sensor.label else sensor.sees
             raise UsageError(f"--sees {text}: {have}; column {KIND} of the map names them (--columns map.{KIND}=NAME)")
-    onto = None
-    if wanted.prior is None and pose is None and known is not None and "label" in labels:
-        onto = _onto_map(known, sensors, observed, labels["label"], increments)
+    free = wanted.prior is None and pose is None and known is not None and "label" in labels
+    onto = _onto_map(known, sensors, observed, labels["label"], increments) if free and known is not None else None
     inputs = Inputs(
         prior=_prior(wanted, pose, known, increments, fixes, onto), time=time,
         increments=replace(increments, covariance=covariance), observations=observed, sensor=sensors[0],
@@ -444,9 +437,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     )  # fmt: skip
     if not as_recorded or not isinstance(wanted.noise, VelocityNoise):
         return Recording(log)
-    stamped = None
-    if true is not None:
-        stamped = (time if true.time is None else true.time, true.pose)
+    stamped = None if true is None else (time if true.time is None else true.time, true.pose)
     return Recording(log, Samples(odometry.time, odometry.motion, VelocityModel(wanted.noise, wanted.model), stamped))
 
 
@@ -549,8 +540,7 @@ def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePose
     wants = (*(("t",) if by_stamp else ("frame",) if by_frame else ()), *pose)
     table, _ = columns.table(file, "truth", wants, may_be_blank=pose)
     values = table.columns
-    unit = columns.units.factor("truth", "theta")
-    turn = headings(values, unit) if len(pose) > 2 else np.full(len(table), np.nan)
+    turn = headings(values, columns.units.factor("truth", "theta")) if len(pose) > 2 else np.full(len(table), np.nan)
     read = np.stack([values["x"], values["y"], turn], axis=-1)
     level = unturned(table.stack(QUATERNION) if QUATERNION[0] in values else turn, read[:, :2])
     if level or not np.isfinite(turn).any():
@@ -677,8 +667,7 @@ def _fresh(fixes: Fixes, moved: Increments, notes: list[str]) -> Fixes:
 def _counter_clockwise(fixes: Fixes, moved: Increments, wanted: Wanted) -> Fixes:
     """With headings of a compass, or in degrees, from east in rad, where the odometry turns as they do only then."""
     rows = np.flatnonzero(fixes.kind != FixKind.POSITION)
-    stated = {"theta", "angle", "fixes.theta"} & set(wanted.columns.units.given) or wanted.fix_rotation
-    if stated or len(rows) < MANY:
+    if {"theta", "angle", "fixes.theta"} & set(wanted.columns.units.given) or wanted.fix_rotation or len(rows) < MANY:
         return fixes
     turned = se2.dead_reckoned(np.zeros(3), moved.mean)[fixes.frame[rows], 2]
     mean = {unit: complex(np.exp(1j * (turned - unit * fixes.z[rows, 2])).mean()) for unit in (1.0, *TURNED)}
@@ -726,10 +715,9 @@ def _onto_map(
     off = se2.transform_points(np.tile(pose, (len(rows), 1)), place) - right
     sigma = math.sqrt(0.5 * float(np.mean([np.trace(P[0]) for _, P in each])))
     spread = math.sqrt(float(np.var(right, axis=0).sum()))
-    deviation = math.sqrt(0.5 * float((off**2).sum(axis=1).mean()))
-    if deviation > SURE * sigma or spread < SURE * sigma:
-        return None
     loose = SURE * sigma  # the same observations count again, then
+    if math.sqrt(0.5 * float((off**2).sum(axis=1).mean())) > loose or spread < loose:
+        return None
     return Start(pose, np.array([loose, loose, loose / spread]), "observations to the map")
 
 
@@ -771,9 +759,8 @@ def _prior(
             return Prior(np.append(pose[0, :2], ahead), np.diag(sigma**2))
         if not np.isfinite(pose[0]).all():
             what = "heading" if np.isfinite(pose[0, :2]).all() else "pose"
-            few = ", and few others have (are stamps in ms? --unit time=ms)" * bool(
-                np.isfinite(pose[:, 0]).mean() < 0.5
-            )
-            raise UsageError(f"--prior truth: the first frame has no true {what}{few}; state it with --prior X,Y,THETA")
+            if np.isfinite(pose[:, 0]).mean() < 0.5:
+                what += ", and few others have (are stamps in ms? --unit time=ms)"
+            raise UsageError(f"--prior truth: the first frame has no true {what}; state it with --prior X,Y,THETA")
         mean = pose[0]
     return Prior(mean, np.diag(wanted.prior_sigma**2))

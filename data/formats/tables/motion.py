@@ -241,8 +241,7 @@ def read_odometry(
 
 def path_of(texts: Mapping[str, TextTable], columns: Columns, kind: str) -> tuple[Array, Array] | None:
     """Stamps (K,) [s] and poses (K, 3) of a truth, else of an odometry; None without stamps, or of wheels and cars."""
-    units = replace(columns.units, given=dict(columns.units.given))
-    quiet = replace(columns, units=units, notes=[], asked=[], datum=[], origins={}, read=set())
+    quiet = columns.quiet
     if "truth" in texts and quiet.has(texts["truth"], "truth", wants := ("t", "x", "y", "theta")):
         values = quiet.table(texts["truth"], "truth", wants, may_be_blank=wants[1:])[0].stack(wants)
         values = values[np.isfinite(values).all(axis=1)]
