@@ -688,7 +688,7 @@ class Columns:
         usual = (quantity.replace("theta", "yaw"), quantity)
         meant = {c: meaning(name) for c, name in enumerate(file.names) if file.named}
         more = (quantity, *ALSO.get(quantity, ()), *["id"] * (quantity == "label" and role not in ROLES[2:]))
-        whole, apart = ([c for c, m in meant.items() if m[k][0] in usual or m[k][1] in more] for k in (1, 2))
+        whole, apart = ([c for c, m in meant.items() if m[1:][k][0] in usual or m[1:][k][1] in more] for k in (0, 1))
         also = [c for c in apart if role in meant[c][0]]
         exact = file.named and quantity in file.names and (not also or (role == "odometry" and quantity in TWIST))
         if exact and (file.path, role, file.names.index(quantity)) not in self.intervals:
