@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from association.names import SCAN
 from data.notice import Code, Notice
 from data.origin import Origins, assumed
 from data.questions import asked
@@ -126,6 +127,11 @@ class Comparison:
     def pair(self) -> tuple[RunJudgement, ...]:
         """Those of the two that ran."""
         return tuple(r for r in (self.filtered, self.smoothed) if r is not None)
+
+    @property
+    def tested(self) -> bool:
+        """False of matched scans that closed no loop: then nothing was predicted and then observed."""
+        return self.association != SCAN or any(math.isfinite(r.nis) for r in self.pair)
 
     @property
     def lost_to_linearization(self) -> bool:
@@ -399,7 +405,8 @@ def decided(
     elif not of_filter:
         verdict = Verdict.NEITHER
     elif not measured:
-        verdict = Verdict.CAUSE if cause is not None and log_faults.idle_scans is None else Verdict.UNKNOWN
+        told = cause is not None and log_faults.idle_scans is None and compared.tested
+        verdict = Verdict.CAUSE if told else Verdict.UNKNOWN
     else:
         verdict = compared.nearer
     found = [o for r in _named(verdict, compared) for o in r.objections]

@@ -8,9 +8,9 @@ import pytest
 from data.notice import Code
 from data.result import Trajectory
 from data.se2 import between
-from data.truth import Relations
+from data.truth import Relations, Truth
 from data.worlds.registry import named_log
-from eval.judgement.judgement import Verdict, judge
+from eval.judgement.judgement import Cause, Verdict, decided, judge
 from eval.judgement.runs import Objection
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
@@ -48,6 +48,28 @@ def test_half_a_turn_that_no_wheel_reported_is_named_with_its_frame(trial):
     assert found.code is Code.AGAINST_WHEELS
     assert found.frame == chain.frame[40]
     assert found.named["turned"] > 170.0
+
+
+def test_a_path_that_runs_away_by_a_little_each_scan_is_named_and_one_of_frozen_wheels_is_not(trial):
+    chain, increments = trial.runs[0].chain, trial.log.recorded.increments
+    since = chain.since + 0.04 * np.stack([np.zeros(1500), np.arange(1500) - chain.frame[chain.key], np.zeros(1500)], 1)
+    motion = chain.motion + np.diff(chain.frame, prepend=0)[:, None] * [0.0, 0.3, 0.0]
+    (found,) = faults(changed(trial, chain=replace(chain, since=since, motion=motion)))
+    assert found.code is Code.AGAINST_WHEELS
+    assert 0.5 < found.named["distance"] < 30.0
+    assert codes(trial) == set()
+    recorded = replace(trial.log.recorded, increments=replace(increments, mean=increments.mean.copy()))
+    recorded.increments.mean.setflags(write=True)
+    recorded.increments.mean[300:400] = 0.0
+    assert codes(replace(trial, log=replace(trial.log, recorded=recorded))) == set()
+
+
+def test_the_verdict_says_that_nothing_was_tested_where_no_loop_was_closed():
+    log = named_log("floorplan:0:frames=100+beams=90")
+    log = replace(log, truth=Truth(None))
+    alone = Trial(log, "slam", tuple(compare(log.recorded, "slam", ["ekf", "batch"], "scan")))
+    fine = Cause("nothing", (), None, None)
+    assert decided(judge(alone).compared, fine, measured=False)[0] is Verdict.UNKNOWN
 
 
 def test_the_headline_names_no_path_where_walls_are_doubled(trial):

@@ -13,7 +13,6 @@ from data.formats.recordings.laser import time_steps
 from data.inputs import Increments, Inputs
 from data.se2 import Array
 from wings.laser.scans.constraints import Chain, Consistency, Loops, consistency
-from wings.laser.scans.points import FEWEST_BEAMS
 from wings.laser.scans.uncertainty import learned_scale, residuals, spanned
 from wings.laser.slam.backends import key_inputs, smoothed
 from wings.laser.slam.incremental import ScanSlam
@@ -39,7 +38,7 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
     p, count = parameters, len(inputs)
     unknown = count > 1 and is_unknown(inputs.increments)
     slam = ScanSlam(inputs.prior, scans.scanner, scans.ranges.shape[1], p, steady=unknown)
-    slam.matched = bool(np.count_nonzero(scans.ranges.any(axis=0)) >= FEWEST_BEAMS)
+    slam.seen_by(np.flatnonzero(scans.ranges.any(axis=0)))
     row = np.full(count, -1)
     row[scans.frame] = np.arange(len(scans.frame))
     step = np.zeros(count) if inputs.time_is_index else np.diff(inputs.time, prepend=inputs.time[0])

@@ -1,5 +1,6 @@
 """The front end on a drive through rooms whose truth is known."""
 
+import math
 from dataclasses import replace
 from functools import cache
 
@@ -29,6 +30,14 @@ def _found() -> FrontEndResult:
 
 def _way(pose: Array, first: Array, second: Array) -> Array:
     return between(pose[first], pose[second])
+
+
+def test_a_narrow_view_does_not_carry_the_path_away() -> None:
+    log = simulate(Floorplan(frames=300, beams=160, field_of_view=math.radians(58.0), max_range=5.0, people=True), 0)
+    assert log.truth.pose is not None
+    online = run_front_end(log.inputs(), LaserParameters()).online
+    error = between(log.truth.pose[0], log.truth.pose) - between(online[0], online)
+    assert float(np.sqrt((error[:, :2] ** 2).sum(axis=1).mean())) < 0.3  # 0.23; 0.42 if every scan is matched
 
 
 @pytest.mark.slow
