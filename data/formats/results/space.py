@@ -138,15 +138,19 @@ def moved(s: Spatial, R: Array, t: Array, scale: float = 1.0) -> Spatial:
     return replace(s, position=p, rotation=R @ s.rotation, covariance=C)
 
 
-def in_frame(path: GivenPath, world: str, body: str, trees: tuple[Tree, ...]) -> GivenPath | None:
-    """A trajectory in space in the stated frames of another, or itself; None where a transform is unknown."""
+def in_frame(
+    path: GivenPath, world: str, body: str, trees: tuple[Tree, ...], *, still: bool = False
+) -> GivenPath | None:
+    """A trajectory in space in the stated frames of another, or itself; None where a transform is unknown. `still`: not
+    by a moving transform of worlds, such as a localizer's correction.
+    """
     s = path.space
     if s is None:
         return path
     made = s
     if world and bare(s.stated.world) and bare(world) != bare(s.stated.world):
         found = next((T for tree in trees if (T := tree.between(world, s.stated.world, s.time)) is not None), None)
-        if found is None:
+        if found is None or (still and np.ptp(found[1], axis=0).max(initial=0.0) > STILL):
             return None
         made = moved(made, *found)
         made = replace(made, stated=replace(made.stated, world=world))

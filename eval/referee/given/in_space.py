@@ -21,6 +21,7 @@ from eval.referee.errors import pairs_by_way, pairs_over, rms, successive, witho
 NONE, FIRST, SE2, SE3, SIM3, YAW = "none", "first", "se2", "se3", "sim3", "yaw"
 ALIGNMENTS = (NONE, FIRST, SE2, SE3, SIM3, YAW)
 FITTED = (SE3, SIM3, YAW)
+FLAT = 1e-6  # Largest height over width of a path in the plane
 
 
 EVO, RPG, OPENVINS = "evo", "rpg", "openvins"
@@ -86,12 +87,16 @@ def poses(path: Spatial) -> Poses:
 
 
 def aligning(estimate: Poses, truth: Poses, how: str) -> Similarity | None:
-    """The motion that aligns estimate and truth (n each); None for `none`, or without a match. `se2` is `se3` here."""
+    """The motion that aligns estimate and truth (n each); None for `none`, or without a match. `se2` is `se3` here,
+    but `yaw` of paths that are flat, which no fit turns over.
+    """
     rows, turned = np.flatnonzero(estimate.placed & truth.placed), bool((estimate.known & truth.known).any())
     rows = np.flatnonzero(estimate.known & truth.known) if turned else rows
     if how == NONE or not len(rows):
         return None
     a, b = estimate.of(rows), truth.of(rows)
+    flat = all(np.ptp(p.position[:, 2]) <= FLAT * np.ptp(p.position[:, :2], axis=0).max() for p in (a, b))
+    how = YAW if how == SE2 and flat else how
     if how == FIRST or len(rows) < 2:
         R = b.rotation[0] @ a.rotation[0].T
         R = _yaw(R) if how == YAW else R

@@ -234,7 +234,7 @@ def same_frames(path: GivenPath, truth: GivenPath, align: str) -> tuple[GivenPat
     asked = []
     for of, own, other in (("world", ours.world, theirs.world), ("body", ours.body, theirs.body)):
         there = (other, "") if of == "world" else ("", other)
-        moved = in_frame(path, *there, trees)
+        moved = in_frame(path, *there, trees, still=align != NONE)
         if moved is not None:
             path = moved
         elif align == NONE or of == "body":
