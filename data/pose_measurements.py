@@ -253,7 +253,7 @@ def onto_fixes(fixes: Fixes, mean: Array, covariance: Array) -> Start | None:
     sigma = fixes.placed[2]
     z = fixes.z[rows, :2]
     fits = []
-    for first in range(0, len(rows), 1 + len(rows) // TRIED):  # a receiver that starts cold errs at first
+    for first in range(0, len(rows), 1 + len(rows) // TRIED):  # those of a receiver that starts cold are off
         if (last := _far(path[first:], way[first:], sigma)) is None:
             break
         part = slice(first, first + last + 1)

@@ -116,7 +116,7 @@ def build(file: GraphFile, robust: Collection[int] = ()) -> tuple[gtsam.Nonlinea
         for key in dict.fromkeys(file.fixed):
             place = key if key in file.poses else point_key(key)
             if values.exists(place):
-                graph.add(_tied(values, place, N.Constrained.All))
+                graph.add(tied(values, place, N.Constrained.All))
                 names.append("fixed")
     return graph, values, names
 
@@ -147,7 +147,7 @@ def _places(file: GraphFile) -> dict[int, tuple[bool, int]]:
 NAMES = {"BR": "bearing-range", "EDGE_BEARING_SE2_XY": "bearing", "EDGE_RANGE_SE2_XY": "range"}  # of kinds, by tag
 
 
-def _tied(values: gtsam.Values, key: int, noise: Callable[[int], Any]) -> Any:
+def tied(values: gtsam.Values, key: int, noise: Callable[[int], Any]) -> Any:
     """A prior of a variable at its value; `noise` of so many dimensions."""
     value: Any = value_of(values, key)
     kinds: dict[Any, Any] = {gtsam.Pose2: gtsam.PriorFactorPose2, gtsam.Pose3: gtsam.PriorFactorPose3}
@@ -321,7 +321,7 @@ def _by_gtsam(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, dogleg
     exact.setAbsoluteErrorTol(SETTLED)
     poses = (key for key in values.keys() if isinstance(value_of(values, key), gtsam.Pose2 | gtsam.Pose3))  # noqa: SIM118
     if (key := next(poses, None)) is not None:  # a weak prior at the first pose only ties the gauge
-        held.add(_tied(values, key, lambda d: N.Isotropic.Sigma(d, 1.0)))
+        held.add(tied(values, key, lambda d: N.Isotropic.Sigma(d, 1.0)))
     with suppress(RuntimeError):
         if isinstance(exact, gtsam.DoglegParams):
             return gtsam.DoglegOptimizer(held, values, exact).optimize()
