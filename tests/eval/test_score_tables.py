@@ -296,3 +296,15 @@ def test_columns_that_nobody_names_are_no_orientations(tmp_path, capsys, text):
     columns = "estimate.x=est_1,estimate.y=est_2,truth.x=gt_1,truth.y=gt_2"
     assert score([str(file), "--columns", columns]) == 0
     assert "rmse_position_m 0.1\n" in capsys.readouterr().out
+
+
+def test_of_three_paths_in_a_table_the_named_one_takes_nothing_of_another(tmp_path, capsys):
+    """The estimate's own z is of another length of name; that of the third path is not taken for it."""
+    rows = [f"{k},{0.5 * k},0,{0.5 * k},{0.1 * (k % 2)},{0.5 * k},0.3,{0.7 * k}" for k in range(9)]
+    table = tmp_path / "three.csv"
+    table.write_text("\n".join(["t,cam_x,cam_y,wheel_x,wheel_y,vo_x,vo_y,vo_z", *rows]) + "\n")
+    columns = "estimate.x=wheel_x,estimate.y=wheel_y,truth.x=cam_x,truth.y=cam_y"
+    assert score([str(table), "--columns", columns, "--align", "none"]) == 0
+    said = capsys.readouterr().out
+    assert "rmse_position_3d_m" not in said
+    assert f"rmse_position_m {(4 / 9) ** 0.5 * 0.1:.6g}" in said

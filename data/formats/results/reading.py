@@ -55,6 +55,7 @@ ALIAS = (
     | {"µs": "us", "microseconds": "us", "nsec": "ns", "nanoseconds": "ns"}
     | {"degree": "deg", "degrees": "deg", "°": "deg", "radian": "rad", "radians": "rad", "meters": "m", "meter": "m"}
 )
+AXES = PLACE | TURN | {*"xyzw", *ANGLES}  # Words of the columns of one path, beside which its name stands
 AXIS, PAIRED = "|".join(("x", "y", "z", *YAW)), "|".join(("x", "y", "t", *YAW))
 SPREAD = "(cov|covariance|var|variance|std|stddev|stdev|sd|sigma)"
 SPREADS = r"(?<![A-Za-z])(?i:cov|var(?!io)|sigma|std)|Cov|Var|Sigma|Std"  # begin a word that may name one
@@ -154,6 +155,8 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
         if role == "t":  # not the time of recording, nor one without the digits that tell rows apart
             some = [j for j in some if len({f[j] for f in text.fields[1:] if j < len(f)}) > 1] or some
             some = [j for j in some if "stamp" in names[j].lower()][-1:] or some[:1]
+        if role != "t" and manner.rows and "x" in manner.columns:  # nor of another path of the table
+            some = [j for j in some if not words[j] - AXES or words[j] - AXES == words[place["x"]] - AXES]
         if role == "z" and manner.true and manner.rows and "x" in manner.columns:  # not of the estimate beside it
             some = [j for j in some if names[j].lower() == "z".join(names[place["x"]].lower().rsplit("x", 1))]
         unclear |= {role: some} if len(some) > 1 else {}

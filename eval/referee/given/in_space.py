@@ -96,7 +96,7 @@ def aligning(estimate: Poses, truth: Poses, how: str) -> Similarity | None:
         return None
     a, b = estimate.of(rows), truth.of(rows)
     flat = all(np.ptp(p.position[:, 2]) <= FLAT * np.ptp(p.position[:, :2], axis=0).max() for p in (a, b))
-    how = YAW if how == SE2 and flat else how
+    how = YAW if how == SE2 and flat and not (turned and np.median(tilts(a, b)) > FLAT) else how
     if how == FIRST or len(rows) < 2:
         R = b.rotation[0] @ a.rotation[0].T
         R = _yaw(R) if how == YAW else R
