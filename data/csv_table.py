@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -104,7 +105,7 @@ class Table:
             fine = np.abs(values) <= LARGEST
             if blank:
                 fine |= np.isnan(values)
-            hint = "; leave the field blank where unknown" if blank else ""
+            hint = "; leave the field blank where unknown" * blank
             self.require(fine, name, f"{{}} is not a number between -1e15 and 1e15{hint}")
 
     def require_ascending(self, name: str, *, strictly: bool, hint: str = "") -> None:
@@ -128,9 +129,8 @@ class Table:
         values = self.get(name)
         empty = np.isnan(values) if blank is not None else np.zeros(len(values), bool)
         fine = empty | ((values >= smallest) & (values == np.floor(values)) & (values <= LARGEST))
-        or_blank = " (or blank)" if blank is not None else ""
-        self.require(fine, name, f"{{}} is not a whole number from {smallest} up{or_blank}")
-        return np.where(empty, 0 if blank is None else blank, np.where(empty, 0.0, values)).astype(np.int64)
+        self.require(fine, name, f"{{}} is not a whole number from {smallest} up{' (or blank)' * (blank is not None)}")
+        return np.where(empty, blank or 0, values).astype(np.int64)
 
 
 def symmetric(entries: Array, *, lower: bool = False) -> Array:
@@ -175,17 +175,13 @@ def is_number(field: str | bytes) -> bool:
 
 def number_rows(path: Path | str, lines: Sequence[int], rows: Sequence[Sequence[bytes]], names: Sequence[str]) -> Array:
     """Fields (K, len(names)) as numbers, NaN and infinity included; DataError names the first that is none."""
-    try:
-        if not any(b"_" in b"".join(row) for row in rows):
-            flat = map(float, chain.from_iterable(rows))
-            return np.fromiter(flat, float, len(rows) * len(names)).reshape(-1, len(names))
-    except ValueError:
-        pass
-    for line, row in zip(lines, rows, strict=True):
-        for name, text in zip(names, row, strict=True):
-            if not is_number(text):
-                raise DataError.at(path, f"{shown(text)} is not a number", line=line, column=name)
-    raise AssertionError("every field is a number")
+    fields = [*chain.from_iterable(rows)]
+    with suppress(ValueError):
+        if b"_" not in b"".join(fields):  # Python reads 1_0 as ten
+            return np.array([*map(float, fields)], float).reshape(-1, len(names))
+    k = next(k for k, text in enumerate(fields) if not is_number(text))
+    what = f"{shown(fields[k])} is not a number" if fields[k].strip() else "blank; a number is needed"
+    raise DataError.at(path, what, line=lines[k // len(names)], column=names[k % len(names)])
 
 
 def lines_of(content: bytes) -> list[bytes]:
@@ -241,14 +237,8 @@ def read_table(
         if name in words:
             texts[name] = [f.decode("utf-8", "replace").strip() for f in column]
             continue
-        try:
-            if b"_" in b"".join(column):  # Python reads 1_0 as ten
-                raise ValueError
-            columns[name] = np.array([float(f) if f.strip() or not blank else np.nan for f in column], float)
-        except ValueError:
-            k = next(i for i, f in enumerate(column) if not (is_number(f) or (blank and not f.strip())))
-            what = f"{shown(column[k])} is not a number" if column[k].strip() else "blank; a number is needed"
-            raise DataError.at(path, what, line=k + FIRST_ROW, column=name) from None
+        column = [f if f.strip() else b"nan" for f in column] if blank else column
+        columns[name] = number_rows(path, range(FIRST_ROW, len(rows) + FIRST_ROW), [column], [name])[:, 0]
     unknown = tuple(n for n in names if n not in known and n)
     return Table(path, columns, np.arange(len(rows)) + FIRST_ROW, unknown, texts)
 

@@ -129,9 +129,8 @@ def numbers(
             value = float(field)
             beyond = abs(value) > LARGEST and (math.isinf(value) or name not in huge)
             if beyond and not is_covariance(name):
-                what = f"{field[:40]}; a finite number in SI units is needed" + ", or nan where unknown" * math.isinf(
-                    value
-                )
+                unknown = ", or nan where unknown" * math.isinf(value)
+                what = f"{field[:40]}; a finite number in SI units is needed{unknown}"
                 raise DataError.at(text.path, what, line=line, column=name)
             found[row, j] = math.nan if beyond else value
     return found
@@ -291,8 +290,8 @@ def path_of(
         rows[:, 4:8] = [0.0, 0.0, 0.0, 1.0]
     file, R = str(text.path), rotations(rows[:, 4:8], text.place)
     kind = f"{kind}, {clock.words}"
-    spatial = paths.Spatial(file, kind, time, rows[:, 1:4], R, C, frame, text.place, stated, notes, clock)
-    path = on_plane(spatial, manner)
+    s = paths.Spatial(file, kind, time, rows[:, 1:4], R, C, frame, text.place, stated, notes, clock)
+    path = on_plane(s, manner)
     return paths.without_headings(path) if absent else path
 
 
@@ -306,8 +305,7 @@ def read_kitti(text: Text, manner: paths.Manner) -> paths.GivenPath:
     if stamped:
         time, clock = times_of(text, table[:, 0], manner)
     elif manner.times is None and manner.stamps is not None:
-        what = f"{text.path} has no stamps (KITTI poses); --times FILE names them"
-        raise UsageError(f"--unit {manner.stamps}: {what}")
+        raise UsageError(f"--unit {manner.stamps}: {text.path} has no stamps (KITTI poses); --times FILE names them")
     else:
         time, clock = times_of(text, np.arange(len(rows), dtype=float), manner, column=UNSTAMPED)
     file, R = str(text.path), rows[:, :, :3]

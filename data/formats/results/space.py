@@ -99,8 +99,7 @@ def flattened(s: Spatial) -> GivenPath:
 
 def to_world(p: Array, R: Array, frame: str) -> Array:
     """Jacobians (n, 6, 6) from a tangent of a frame to position error and small rotation, both in the world's axes."""
-    J = np.zeros((len(p), 6, 6))
-    J[:] = np.eye(6)
+    J = np.tile(np.eye(6), (len(p), 1, 1))
     if frame == LOCAL:
         J[:, :3, :3] = R
     if frame in (LOCAL, MIXED):
@@ -125,8 +124,7 @@ def moved(s: Spatial, R: Array, t: Array, scale: float = 1.0) -> Spatial:
     C, size = s.covariance, np.diag([scale] * 3 + [1.0] * 3)
     if C is not None:
         rotation = np.broadcast_to(R, s.rotation.shape)
-        J = np.zeros((len(s), 6, 6))
-        J[:] = np.eye(6)
+        J = np.tile(np.eye(6), (len(s), 1, 1))
         if s.frame != LOCAL:
             J[:, :3, :3] = rotation
         if s.frame in (WORLD, LEFT):
@@ -138,32 +136,21 @@ def moved(s: Spatial, R: Array, t: Array, scale: float = 1.0) -> Spatial:
     return replace(s, position=p, rotation=R @ s.rotation, covariance=C)
 
 
-def in_frame(
-    path: GivenPath, world: str, body: str, trees: tuple[Tree, ...], *, still: bool = False
-) -> GivenPath | None:
-    """A trajectory in space in the stated frames of another, or itself; None where a transform is unknown. `still`: not
-    by a moving transform of worlds, such as a localizer's correction.
+def in_frame(path: GivenPath, of: str, frame: str, trees: tuple[Tree, ...], *, still: bool) -> GivenPath | None:
+    """A trajectory in space in the stated `world` or `body` of another; None where the transform is unknown, or moves
+    though it has to be `still`. Itself in the plane, and where one states none.
     """
     s = path.space
-    if s is None:
+    own = "" if s is None else s.stated.world if of == "world" else s.stated.body
+    if s is None or not frame or bare(own) in ("", bare(frame)):
         return path
-    made = s
-    if world and bare(s.stated.world) and bare(world) != bare(s.stated.world):
-        found = next((T for tree in trees if (T := tree.between(world, s.stated.world, s.time)) is not None), None)
-        if found is None or (still and np.ptp(found[1], axis=0).max(initial=0.0) > STILL):
-            return None
-        made = moved(made, *found)
-        made = replace(made, stated=replace(made.stated, world=world))
-    if body and bare(s.stated.body) and bare(body) != bare(s.stated.body):
-        found = next((T for tree in trees if (T := tree.between(s.stated.body, body, s.time)) is not None), None)
-        if found is None or np.ptp(found[1], axis=0).max(initial=0.0) > STILL:  # no mount: the bodies move apart
-            return None
-        made = _seen_from(made, *found)
-        made = replace(made, stated=replace(made.stated, body=body))
-    if made is s:
-        return path
-    old, new = (" and ".join(filter(None, pair)) for pair in ((s.stated.world, s.stated.body), (world, body)))
-    made = replace(made, notes=(*made.notes, f"taken from the frames {old} to {new} by tf"))
+    pair = (frame, own) if of == "world" else (own, frame)
+    found = next((T for tree in trees if (T := tree.between(*pair, s.time)) is not None), None)
+    if found is None or (still and np.ptp(found[1], axis=0).max(initial=0.0) > STILL):  # no mount: it moves
+        return None
+    made = moved(s, *found) if of == "world" else _seen_from(s, *found)
+    stated = replace(s.stated, world=frame) if of == "world" else replace(s.stated, body=frame)
+    made = replace(made, stated=stated, notes=(*made.notes, f"taken from the frame {own} to {frame} by tf"))
     return replace(flattened(made), transforms=path.transforms)
 
 
@@ -172,8 +159,7 @@ def _seen_from(s: Spatial, R: Array, t: Array) -> Spatial:
     arm = np.einsum("nij,nj->ni", s.rotation, t)
     C = s.covariance
     if C is not None:
-        J = np.zeros((len(s), 6, 6))
-        J[:] = np.eye(6)
+        J = np.tile(np.eye(6), (len(s), 1, 1))
         J[:, :3, 3:] = -se3.skew(arm)
         C = J @ in_world(s) @ J.transpose(0, 2, 1)
     frame = s.frame if C is None else WORLD

@@ -233,8 +233,7 @@ def same_frames(path: GivenPath, truth: GivenPath, align: str) -> tuple[GivenPat
     trees = tuple(t for t in (path.transforms, truth.transforms) if isinstance(t, Tree))
     asked = []
     for of, own, other in (("world", ours.world, theirs.world), ("body", ours.body, theirs.body)):
-        there = (other, "") if of == "world" else ("", other)
-        moved = in_frame(path, *there, trees, still=align != NONE)
+        moved = in_frame(path, of, other, trees, still=of == "body" or align != NONE)  # a localizer corrects a world
         if moved is not None:
             path = moved
         elif align == NONE or of == "body":

@@ -281,13 +281,11 @@ def given_run(
     C = {k: unknown if p.covariance is None else p.covariance * np.outer(scale, scale) for k, p in paths.items()}
     made = {k: Trajectory(p.pose * scale, C[k]) for k, p in paths.items()}
     if T is not None:
-        if landmarks is not None:
-            of_map = scale[:2] if log.recorded.sensor.sees_points else scale[1:]
-            of_both = landmarks.covariance * np.outer(of_map, of_map)
-            landmarks = replace(landmarks, xy=landmarks.xy * of_map, covariance=of_both)
         made = made if space else {phase: moved(T, path) for phase, path in made.items()}
-        move = moved_map if log.recorded.sensor.sees_points else moved_walls
-        landmarks = None if landmarks is None else move(T, landmarks)
+        if landmarks is not None:
+            move, of_map = (moved_map, scale[:2]) if log.recorded.sensor.sees_points else (moved_walls, scale[1:])
+            of_both = landmarks.covariance * np.outer(of_map, of_map)
+            landmarks = move(T, replace(landmarks, xy=landmarks.xy * of_map, covariance=of_both))
     m = len(log.recorded.observations.frame)
     decisions = np.full(m, DISCARD, np.int64) if kept.decisions is None else kept.decisions
     final = decisions if kept.final is None else kept.final
