@@ -78,11 +78,13 @@ def _of_archive(path: Path, content: bytes, word: str) -> tuple[bytes, str]:
         raise DataError.at(path, f"cannot be unpacked: {error}") from None
     book = package(path, "openpyxl").load_workbook(io.BytesIO(content), read_only=True, data_only=True)
     sheets = [sheet for sheet in book.worksheets if sheet.title == word] or book.worksheets[:1]
+    several = len(book.worksheets) > 1 and sheets[0].title != word
+    said = f"sheet {sheets[0].title} of {len(book.worksheets)} (FILE:SHEET names another)\n" * several
     rows = (
         [v.isoformat() if hasattr(v, "isoformat") else v for v in row] for row in sheets[0].iter_rows(values_only=True)
     )
     table = [row for row in rows if any(v is not None for v in row)]
-    return _csv(table[0] if table else (), table[1:]), "" if sheets[0].title == word else word
+    return said.encode() + _csv(table[0] if table else (), table[1:]), "" if sheets[0].title == word else word
 
 
 def _of_gpx(text: str) -> list[tuple[str, str, str, str]]:
@@ -96,12 +98,11 @@ def _of_gpx(text: str) -> list[tuple[str, str, str, str]]:
 
 
 def _of_nmea(text: str) -> list[tuple[Any, ...]]:
-    """Stamp, latitude, longitude and height of sentences GGA with a fix, else of RMC. The stamp is the number before a
-    sentence, else the time of day in s, over midnight, too.
+    """Stamp, latitude, longitude and height of sentences GGA with a fix, else of RMC. The stamp is the time of day in
+    s, over midnight, too, or the number before each sentence where these run as fast, in s, ms, us or ns.
     """
     kind = "GGA" if "GGA," in text else "RMC"
-    found: list[tuple[Any, ...]] = []
-    day = 0.0
+    found, clocks, day = list[tuple[Any, ...]](), list[tuple[float, float]](), 0.0
     for line in text.splitlines():
         before, dollar, sentence = line.partition("$")
         f = sentence.split(",")
@@ -112,17 +113,19 @@ def _of_nmea(text: str) -> list[tuple[Any, ...]]:
             continue
         clock = float(f[1])
         t = day + clock // 10000 * 3600.0 + clock // 100 % 100 * 60.0 + clock % 100
-        if found and t < found[-1][0] - DAY / 2.0:
+        if clocks and t < clocks[-1][0] - DAY / 2.0:
             day, t = day + DAY, t + DAY
         stamps = re.findall(r"\d+\.?\d*", before)
+        clocks.append((round(t, 6), float(stamps[0]) if len(stamps) == 1 else math.nan))
         place = []
         for value, side in ((f[2 + at], f[3 + at]), (f[4 + at], f[5 + at])):
             whole = math.floor(float(value) / 100.0)
             place.append((-1.0 if side in "SW" else 1.0) * (whole + (float(value) - 100.0 * whole) / 60.0))
-        found.append(
-            (float(stamps[0]) if len(stamps) == 1 else round(t, 6), *map(repr, place), f[9] if kind == "GGA" else "")
-        )
-    return found
+        found.append((*map(repr, place), f[9] if kind == "GGA" else ""))
+    way, own_way = (last - first for first, last in zip(clocks[0], clocks[-1], strict=True)) if clocks else (0.0, 0.0)
+    digits = math.log10(own_way / way) if own_way > 0.0 < way else 0.0
+    own = not any(math.isnan(b) for _, b in clocks) and min(abs(digits - n) for n in (0, 3, 6, 9)) < 0.1
+    return [(clock[own], *place) for clock, place in zip(clocks, found, strict=True)]
 
 
 def echoed_names(first: str) -> str:

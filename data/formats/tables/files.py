@@ -234,9 +234,14 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
             )  # fmt: skip
     for both in {name for name in stated if "+" in name and {*name.split("+")} <= {*shown}}:  # seconds and nanoseconds
         j, k = (shown.index(part) for part in both.split("+"))
-        rows, shown = [(*r, f"{r[j]}.{r[k]:0>9}" if r[j] and r[k] else "") for r in rows], [*shown, both]
+        small = next((n for n, unit in FRACTIONS.items() if re.fullmatch(rf"(.*[^a-z])?({unit})", shown[k], re.I)), 9)
+        rows, shown = [(*r, f"{r[j]}.{r[k]:0>{small}}" if r[j] and r[k] else "") for r in rows], [*shown, both]
     cut = "; ".join(filter(None, said))
     return TextTable(path, tuple(shown), tuple(rows), number, names is not None, comma, cut)
+
+
+FRACTIONS = {6: "us|usecs?|micro.*", 3: "ms|msecs?|milli.*"}
+"""Digits of the second column of a stamp that is stated as SEC+REST, by its name; else nanoseconds."""
 
 
 def _lists(
@@ -319,9 +324,9 @@ def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
     """One table of files: a folder's one below the other, numbered as `frame`, else side by side."""
     tables = [read_text(part) for part in parts]
     first, below = tables[0], path.is_dir()
+    if not below and (nearest := _by_stamp(path, tables)) is not None:
+        return nearest
     if len({len(t.names) if below else len(t) for t in tables}) > 1:
-        if not below and (nearest := _by_stamp(path, tables)) is not None:
-            return nearest
         what = f"files of unequal numbers of {'columns' if below else 'rows'}; as many in each are needed"
         raise DataError.at(path, what + ", or a column of stamps" * (not below))
     if below:
@@ -335,11 +340,16 @@ def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
 
 
 def _by_stamp(path: Path, tables: Sequence[TextTable]) -> TextTable | None:
-    """The rows of the first table, each with those of the others with the nearest stamps; None where one has none."""
+    """The rows of the first table, each with those of the others with the nearest stamps; None where one has none, or
+    where all are the same.
+    """
     stamps = [[k for k, name in enumerate(t.names) if t.named and {*words_of(name)[0]} & {*STAMP}] for t in tables]
     if not all(len(found) == 1 for found in stamps):
         return None
-    times = [t.numbers(k, np.ones(len(t), bool)) for t, (k,) in zip(tables, stamps, strict=True)]
+    texts = [[row[k] for row in t.rows] for t, (k,) in zip(tables, stamps, strict=True)]
+    if all(own == texts[0] for own in texts) or not all(map(is_number, itertools.chain(*texts))):
+        return None
+    times = [np.array(own, float) for own in texts]
     if not all((np.diff(time) >= 0.0).all() for time in times):
         return None
     first, rows = tables[0], [*tables[0].rows]
@@ -347,7 +357,8 @@ def _by_stamp(path: Path, tables: Sequence[TextTable]) -> TextTable | None:
     for table, (own,), time in zip(tables[1:], stamps[1:], times[1:], strict=True):
         near = np.clip(np.searchsorted(time, times[0]), 1, len(time) - 1)
         near -= times[0] - time[near - 1] < time[near] - times[0]
-        there = (time[0] <= times[0]) & (times[0] <= time[-1])
+        step = np.median(np.diff(time, prepend=time[0]))
+        there = (time[0] - step <= times[0]) & (times[0] <= time[-1] + step)
         names += [name for k, name in enumerate(table.names) if k != own]
         for k, (row, inside) in enumerate(zip(near.tolist(), there.tolist(), strict=True)):
             fields = tuple(field for j, field in enumerate(table.rows[row]) if j != own)
@@ -674,21 +685,17 @@ class Columns:
 
     def find(self, file: TextTable, role: str, quantity: str) -> int | None:
         """Index of the column of a quantity in a file, or None; DataError if its stated column is missing."""
-        own = f"{role}.{quantity}"
-        if own in self.given:
-            column = file.find(self.given[own])
-            if column is None:
-                near = did_you_mean(self.given[own], file.names)
-                raise DataError.at(file.path, f"no column {self.given[own]!r}{near} ({own}); it has {file.described()}")
-            self.used.add(own)
-            return column
-        if quantity in self.given and (column := file.find(self.given[quantity])) is not None:
-            self.used.add(quantity)
-            return column
+        for key in (f"{role}.{quantity}", quantity):
+            if key in self.given and (column := file.find(self.given[key])) is not None:
+                self.used.add(key)
+                return self._in_unit(file, role, quantity, column, stated=True)
+            if key in self.given and key != quantity:
+                near = did_you_mean(self.given[key], file.names)
+                raise DataError.at(file.path, f"no column {self.given[key]!r}{near} ({key}); it has {file.described()}")
         usual = (quantity.replace("theta", "yaw"), quantity)
         meant = {c: meaning(name) for c, name in enumerate(file.names) if file.named}
         more = (quantity, *ALSO.get(quantity, ()), *["id"] * (quantity == "label" and role not in ROLES[2:]))
-        whole, apart = ([c for c, m in meant.items() if m[1:][k][0] in usual or m[1:][k][1] in more] for k in (0, 1))
+        whole, apart = ([c for c, (_, *m) in meant.items() if m[k][0] in usual or m[k][1] in more] for k in (0, 1))
         also = [c for c in apart if role in meant[c][0]]
         exact = file.named and quantity in file.names and (not also or (role == "odometry" and quantity in TWIST))
         if exact and (file.path, role, file.names.index(quantity)) not in self.intervals:
@@ -710,17 +717,24 @@ class Columns:
             also = [c for c in read if meant[c][1][1].endswith(TWIST[quantity]) and not _sideways(file, c)]
         if len(also) != 1:
             return self.find(file, role, EARTH[quantity]) if quantity in EARTH and role in ON_EARTH else None
-        note = f"{file.path.name}: {quantity} of {role} is read from {file.names[also[0]]}"
-        unit, dimension = words_of(file.names[also[0]])[1], QUANTITIES[quantity]
-        unit = "ns" if quantity == "t" and file.names[also[0]].startswith(("field.", "%time")) else unit  # of rostopic
-        if unit and dimension and not {dimension, quantity} & set(self.units.given):
+        return self._in_unit(file, role, quantity, also[0])
+
+    def _in_unit(self, file: TextTable, role: str, quantity: str, column: int, *, stated: bool = False) -> int:
+        """The column, which is noted with the unit that its name ends with, where none is stated; of a `stated` column
+        where that is no SI unit.
+        """
+        name, key = file.names[column], f"{role}.{quantity}"
+        note = f"{file.path.name}: {quantity} of {role} is read from {name}"
+        unit, dimension, said = words_of(name)[1] * ("+" not in name), QUANTITIES[quantity], not stated
+        unit = "ns" if quantity == "t" and name.startswith(("field.", "%time")) else unit  # of rostopic
+        if unit and dimension and not {dimension, quantity, *[key] * stated} & set(self.units.given):
             try:
-                factor(dimension, unit, "")
-                note += f", in {self.units.given.setdefault(f'{role}.{quantity}', unit)}"
+                if factor(dimension, unit, "") != 1.0 or said:
+                    note, said = f"{note}, in {self.units.given.setdefault(key, unit)}", True
             except UsageError:
-                note += f", whose unit {unit!r} is unknown (--unit {role}.{quantity}=UNIT; else SI)"
-        self.notes += [note] * (note not in self.notes)
-        return also[0]
+                note += f", whose unit {unit!r} is unknown (--unit {key}=UNIT; else SI)"
+        self.notes += [note] * (said and note not in self.notes)
+        return column
 
     def _headings(self, file: TextTable) -> bool:
         """Whether a column t beside an ascending column time descends, as headings do; which is noted."""

@@ -417,8 +417,11 @@ def settle(given: Given) -> Wanted:
             columns.given = {k: n for k, n in columns.given.items() if n not in taken}
     if kind == "ticks" and not {"ticks", "odometry-kind"} & {*given}:
         name = texts["odometry"].names[columns.require(texts["odometry"], "odometry", ("left",))[0]]
-        if {*words_of(name)[0]} & {*table_files.SPEED}:
-            given = {"metres-per-tick": "1", **given, "ticks": "rate"}
+        parts, unit = words_of(name)
+        if {*parts} & {*table_files.SPEED}:
+            where = f"{files['odometry']}: {name} without --metres-per-tick, which of rad/s is the wheel's radius"
+            metres = 1.0 if "metres-per-tick" in given else table_files.factor("length/time", unit or "m/s", where)
+            given = {"metres-per-tick": f"{metres:.9g}", **given, "ticks": "rate"}
             told = f"as {name} is a speed (in rad/s --metres-per-tick is the wheel's radius)"
             columns.notes.append(f"inferred: --ticks rate --metres-per-tick {given['metres-per-tick']}, {told}")
     for flag in ("hold", "integrate"):
@@ -506,15 +509,14 @@ def _offsets(given: Given, files: Mapping[str, Path], sensors: Collection[str]) 
 
 
 def _wheels(given: Given, kind: str) -> Wheels | None:
-    if kind != "car" and "wheel-base" in given:
-        raise UsageError(f"--wheel-base {given['wheel-base']}: of speed and steering; the odometry has {kind}")
-    if kind == "car" and "wheel-base" in given:
+    ticks = dict.fromkeys(("track-width", "metres-per-tick", "tick-wrap", "ticks"), ("ticks", "wheel ticks"))
+    for flag, (of, what) in {"wheel-base": ("car", "speed and steering"), **ticks}.items():
+        if flag in given and kind != of:
+            raise UsageError(f"--{flag} {given[flag]}: of {what}; the odometry has {kind}")
+    if "wheel-base" in given:
         base = _numbers(given, "wheel-base", ("length",), "the distance between the axles", zero=False)
         return Wheels(float(base[0]), (1.0, 1.0))
     if kind != "ticks":
-        for flag in ("track-width", "metres-per-tick", "tick-wrap", "ticks"):
-            if flag in given:
-                raise UsageError(f"--{flag} {given[flag]}: of wheel ticks; the odometry has {kind}")
         return None
     if "track-width" not in given or "metres-per-tick" not in given:
         raise UsageError("wheel ticks: --track-width M and --metres-per-tick M (or LEFT,RIGHT) are needed")

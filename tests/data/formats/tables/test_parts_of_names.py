@@ -74,13 +74,21 @@ def test_a_part_that_columns_state_is_in_the_file_of_the_odometry(made):
     assert log.truth.pose[0] == pytest.approx(POSE[0])
 
 
-def test_speeds_of_wheels_need_their_distance_alone(made):
+def test_speeds_of_wheels_need_their_distance_alone(made, refused, tmp_path):
     rows = ((t, V - 0.2 * OMEGA, V + 0.2 * OMEGA, f) for t, f in zip(TIME, FIXES, strict=True))
     log, said = made(
         {"robot.csv": csv("t,v_left,v_right,gps_x,gps_y", rows)}, "--track-width", "0.4", "--fix-sigma", "0.1"
     )
     assert "--ticks rate --metres-per-tick 1" in said
     assert drives(log)
+    slow = ((t, 100.0 * (V - 0.2 * OMEGA), 100.0 * (V + 0.2 * OMEGA), f) for t, f in zip(TIME, FIXES, strict=True))
+    text, words = (
+        csv("t,v_left (cm/s),v_right (cm/s),gps_x,gps_y", slow),
+        ("--track-width", "0.4", "--fix-sigma", "0.1"),
+    )
+    assert drives(made({"robot.csv": text}, *words)[0])
+    (tmp_path / "turns.csv").write_text(text.replace("cm/s", "rad/s"))
+    assert "wheel's radius" in refused(main, ["table", str(tmp_path / "turns.csv"), "out2", *words])
 
 
 def test_landmarks_named_by_words_and_the_start_that_takes_them_to_the_map(made):
@@ -131,6 +139,18 @@ def test_files_with_stamps_of_their_own_are_joined_by_them(convert):
     log, said = convert(files, "table", "wheel.csv+imu.csv", "out", "--fixes", "gps.csv", "--fix-sigma", "0.1")
     assert "nearest in time" in said
     assert drives(log)
+    files["imu.csv"] = csv("timestamp,gyro_z", ((int(1e9 * (START + t - 0.1)), OMEGA) for t in TIME))  # as many rows
+    log, said = convert(files, "table", "wheel.csv+imu.csv", "out", "--fixes", "gps.csv", "--fix-sigma", "0.1")
+    assert ("nearest in time" in said, drives(log)) == (True, True)
+
+
+def test_units_of_stated_names_and_digits_of_microseconds(made):
+    rows = ((int(t), int(t % 1 * 1e6), 3.6 * V, OMEGA, f) for t, f in zip(TIME, FIXES, strict=True))
+    names = ("--columns", "odometry.t=tv_sec+tv_usec,odometry.v=wheels,odometry.omega=w", "--fix-sigma", "0.1")
+    log, said = made({"robot.csv": csv("tv_sec,tv_usec,Wheels (km/h),w,gps_x,gps_y", rows)}, *names)
+    assert log.recorded.time[-1] == pytest.approx(TIME[-1])
+    assert log.recorded.increments.mean[1, 0] == pytest.approx(V * log.recorded.time[1], rel=0.05)
+    assert "v of odometry is read from Wheels (km/h), in km/h" in said
 
 
 def nmea(stamp, lat, lon):
@@ -147,12 +167,14 @@ def gpx(stamp, lat, lon):
 
 @pytest.mark.parametrize(("name", "content"), [
     ("a.nmea", "\n".join(f"{nmea(*row)}\n$GPGSA,A,3,,,1.0*30" for row in TRACK)),
+    ("b.nmea", "\n".join(f"{5 * k} {nmea(*row).partition(',')[2]}" for k, row in enumerate(TRACK))),
     ("a.gpx", '<?xml version="1.0"?><gpx version="1.1"><trk>' + "\n".join(gpx(*row) for row in TRACK) + "</trk></gpx>"),
     ("a.csv.gz", gzip.compress(csv("t,lat,lon", TRACK).encode())),
     ("fix.csv", "".join(f"{int(t)},{int(t % 1 * 1e9)},gps,0,1,{a},{b},500.0{',0.1' * 9},2\n" for t, a, b in TRACK)),
 ])  # fmt: skip
 def test_tracks_of_receivers_and_packed_tables_are_fixes(made, name, content):
-    odometry = csv("time,v,omega", ((START + t, V, OMEGA) for t in TIME))
+    begin = START % 86400.0 if name == "b.nmea" else START  # whose lines are numbered, which is no stamp
+    odometry = csv("time,v,omega", ((begin + t, V, OMEGA) for t in TIME))
     log, _ = made({"odo.csv": odometry, name: content}, "--fixes", name, "--fix-sigma", "0.1")
     z = log.recorded.fixes.z[:, :2]
     assert len(z) == COUNT
