@@ -308,3 +308,10 @@ def test_of_three_paths_in_a_table_the_named_one_takes_nothing_of_another(tmp_pa
     said = capsys.readouterr().out
     assert "rmse_position_3d_m" not in said
     assert f"rmse_position_m {(4 / 9) ** 0.5 * 0.1:.6g}" in said
+
+
+def test_rows_of_a_rotation_matrix_are_no_place_and_quaternion(tmp_path, refused):
+    turns = [(math.cos(0.1 * k + 0.5), math.sin(0.1 * k + 0.5)) for k in range(9)]
+    rows = [(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0, k, 0.1 * k, 0.0, c, s, 0.0) for k, (c, s) in enumerate(turns)]
+    (tmp_path / "a.csv").write_text("".join(",".join(map(str, row)) + "\n" for row in rows))
+    assert "no known trajectory format" in refused(score, [str(tmp_path / "a.csv")] * 2)

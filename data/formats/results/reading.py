@@ -674,6 +674,9 @@ def _on_earth(fields: Sequence[Sequence[str]], rows: Array) -> tuple[str, ...]:
 
 def _turned(rows: Array) -> tuple[str, ...]:
     """Roles of columns of a place and a unit quaternion, with or without a stamp, maybe with more behind; else none."""
+    R = rows[:, :9].reshape(-1, 3, 3) if len(rows.T) >= len(ENTRIES) else np.zeros((1, 3, 3))
+    if np.allclose(R @ R.transpose(0, 2, 1), np.eye(3), atol=UNIT):
+        return ()  # a rotation matrix before a position
     stamps = len(rows) > 1 and bool((np.diff(rows[:, 0]) > 0.0).all())
     found = []
     for roles in (POSE, (*POSE[:3], *POSE[4:])) if stamps else (POSE[1:],):
