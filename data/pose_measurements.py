@@ -236,7 +236,8 @@ class Start(NamedTuple):
     def said(self, *, fits: bool = True) -> str:
         """As flags, in a note; `fits`: from there the odometry leads to the fixes, else the start is assumed."""
         (x, y, turn), (sx, sy, st) = self.pose.tolist(), self.sigma.tolist()
-        flags = f"--prior={x:.4g},{y:.4g},{math.degrees(turn):.3g}deg --prior-sigma {sx:.3g},{sy:.3g},"
+        x, y = (f"{value:.{max(4, len(f'{abs(value):.0f}') + 2)}g}" for value in (x, y))
+        flags = f"--prior={x},{y},{math.degrees(turn):.3g}deg --prior-sigma {sx:.3g},{sy:.3g},"
         how, why = ("inferred", f", which takes {self.onto}") if fits else ("assumed", "")
         return f"{how}: {flags}{math.degrees(st):.3g}deg{why}"
 

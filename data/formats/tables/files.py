@@ -409,15 +409,19 @@ STARRED, IDS = ("range", "bearing", "x", "y"), ("label", "true_id")
 
 
 def stars(file: TextTable) -> dict[str, str]:
-    """Names with a star by quantity, of a file whose columns are ranges and bearings of several landmarks each."""
-    found: dict[str, str] = {}
+    """Names with a star by quantity, of a file whose columns are ranges and bearings of several landmarks each: their
+    last numbers differ, as in range_1, lm1_range, z_range_1.
+    """
+    usual = {q: (q.replace("_", ""), *ALSO.get(q, ()), *["id"] * (q == "label")) for q in ("range", "bearing", *IDS)}
+    found: dict[str, set[str]] = {}
     for name in file.names if file.named else ():
-        if (matched := re.fullmatch(r"(.*?)(_?)\d+", name)) is not None:
-            word = "".join(words_of(matched[1])[0])
-            usual = {q: (q.replace("_", ""), *ALSO.get(q, ())) for q in ("range", "bearing", *IDS)}
-            usual["label"] += ("id",)
-            found |= {q: f"{matched[1]}{matched[2]}*" for q, named in usual.items() if word in named}
-    return found if {"range", "bearing"} <= set(found) and not {"range", "bearing"} & set(file.names) else {}
+        if (matched := re.fullmatch(r"(.*?)(\d+)(\D*)", name)) is not None:
+            near = [words for part in (matched[3], matched[1]) if (words := words_of(part)[0])]
+            told = [q for words in near for q, named in usual.items() if {"".join(words), words[-1]} & {*named}]
+            for quantity in told[:1]:
+                found.setdefault(quantity, set()).add(f"{matched[1]}*{matched[3]}")
+    whole = {"range", "bearing"} <= {*found} and not {"range", "bearing"} & {*file.names}
+    return {q: min(names) for q, names in found.items()} if whole and max(map(len, found.values())) == 1 else {}
 
 
 def solid_stars(file: TextTable, stated: Mapping[str, str]) -> dict[str, str]:
@@ -543,10 +547,11 @@ ALSO = {
         side: tuple(name for word in (*SPEED, "tick", "ticks", "count") for name in (f"{side}{word}", f"{word}{side}"))
         for side in ("left", "right")
     },
-    "x": ("gpsx", "uwbx", "east", "easting"), "y": ("gpsy", "uwby", "north", "northing"), "theta": ("orientation",),
+    "x": ("gpsx", "uwbx", "east", "easting", "relx", "xrel", "localx", "xlocal"),
+    "y": ("gpsy", "uwby", "north", "northing", "rely", "yrel", "localy", "ylocal"), "theta": ("orientation",),
     **dict.fromkeys(("label", "id"), ("landmarkid", "beaconid", "markerid", "tagid")),
     "lat": ("latitude",), "lon": ("longitude", "lng"),
-    "frame": ("poseid",), "frame1": ("fromid", "idfrom"), "frame2": ("toid", "idto"),
+    "frame": ("poseid", "frameid"), "frame1": ("fromid", "idfrom"), "frame2": ("toid", "idto"),
 }  # fmt: skip
 WITHIN = ("frame", "frame1", "frame2")
 """Other usual names of a quantity, in small letters only, beside those of results (`role_of`); read, with the unit at
@@ -588,6 +593,15 @@ PARTS = {
 COMMANDED = frozenset(
     ("cmd", "command", "commanded", "control", "input")
 )  # Of speeds that are measured, too, not taken
+
+
+def quantity_of(key: str) -> str:
+    """A key of `--columns` or `--unit`, where its quantity has another usual name with this quantity's own."""
+    role, dot, name = key.rpartition(".")
+    word = "".join(words_of(name)[0])
+    known = {role_of(name)[0].replace("yaw", "theta")} | {q for q, also in ALSO.items() if word in also}
+    found = [*(known & {*QUANTITIES})] if name not in QUANTITIES and key not in DIMENSIONS else []
+    return f"{role}{dot}{found[0]}" if len(found) == 1 else key
 
 
 @cache
@@ -708,6 +722,8 @@ class Columns:
             last = {c: "".join(words_of(name.rpartition(".")[2])[0]) for c, name in enumerate(file.names) if file.named}
             also = [c for c, word in last.items() if word in ALSO[quantity]]
             also = also or [c for c, word in last.items() if word == (ELEMENT if quantity == "frame" else quantity)]
+        if quantity == "theta" and not also:  # phi_true beside x_true
+            also = [c for c, (of, _, (_, word)) in meant.items() if word in ("phi", "psi") and role in of]
         if quantity == "t":  # not the time of recording
             also = [c for c in also if (file.path, role, c) not in self.intervals]
             also = [c for c in also if "header" in file.names[c]] or also

@@ -24,20 +24,27 @@ SPANS = (1, 4, 16)  # Observations of a landmark between two that are compared
 CLEAR = 0.7  # Largest share of the next reading's spread: of 360 simulated tables 260 were read so, none wrong
 
 
-def by_layout(file: TextTable, role: str) -> tuple[TextTable, str] | None:
-    """An odometry, truth or map whose columns have names, and the flag that says so; None if none or several may be."""
+def by_layout(file: TextTable, role: str, *, alone: bool = True) -> tuple[TextTable, str, tuple[str, ...]] | None:
+    """An odometry, truth or map whose columns have names, the flag that says so, and the names before; None if none or
+    several may be. Not `alone` in its file: of a role's name, too.
+    """
     if role == "map" and file.names[:3] == ("key", "value_1", "value_2"):  # of objects by number
-        return replace(
-            file, names=("id", "x", "y", *file.names[3:])
-        ), "--columns map.id=key,map.x=value_1,map.y=value_2"
-    found = [(part, names) for part in _parts(file) if (names := _names(part.rows, role))]
-    if len(found) > 1:
+        told = "--columns map.id=key,map.x=value_1,map.y=value_2"
+        return replace(file, names=("id", "x", "y", *file.names[3:])), told, file.names[:3]
+    parts = _parts(file)
+    if role == "map" and file.named:  # a row for x, one for y
+        turned = (tuple(zip(*p.rows, strict=True)) if len(p.rows) < 4 < len(p.names) else p.rows for p in parts)
+        parts = [replace(p, rows=rows) for p, rows in zip(parts, turned, strict=True)]
+    found = [(part, names) for part in parts if (names := _names(part.rows, role))]
+    if len(found) > 1 or not alone:
         found = [f for f in found if any(word in f[0].names[0].lower() for word in WORDS.get(role, ()))]
     if len(found) != 1:
         return None
     part, names = found[0]
-    told = ",".join(f"{role}.{q}={name}" for q, name in zip(names, part.names, strict=True))
-    return replace(part, names=names, named=True), f"--columns {told}"
+    told = ",".join(f"{role}.{q}={name}" for q, name in zip(names, part.names, strict=False))
+    told = f"--columns {told}" if len(names) == len(part.names) else f"{part.names[0]} ...: rows of {', '.join(names)}"
+    line = part.line if len(part.line) == len(part.rows) else part.line[:1].repeat(len(part.rows))
+    return replace(part, names=names, line=line, named=True), told, part.names
 
 
 def _parts(file: TextTable) -> list[TextTable]:
@@ -109,6 +116,19 @@ def seen_by_layout(
             told = f"its columns are {', '.join(['t', *names])}{f' ({kind[1]} in {unit})' * bool(unit)}"
             return replace(part, names=("t", *names), named=True), told, {kind[1]: unit} if unit else {}
     return None
+
+
+def named_alike(seen: TextTable, known: TextTable) -> tuple[str, str] | None:
+    """The columns of observations and of a map that hold the same names, or whole numbers, of landmarks; None if none
+    or several do.
+    """
+    pairs = []
+    for name, ids in zip(known.names, zip(*known.rows, strict=True), strict=True):
+        distinct = len({*ids}) == len(ids) and not any("." in field and is_number(field) for field in ids)
+        for own, fields in zip(seen.names, zip(*seen.rows, strict=True), strict=True) if distinct else ():
+            if 1 < len(used := {*fields} - {""}) <= len(fields) / AGAIN and used <= {*ids}:
+                pairs.append((own, name))
+    return pairs[0] if len(pairs) == 1 and seen.named and known.named else None
 
 
 def landmarks_in_rows(file: TextTable) -> tuple[TextTable, TextTable, str] | None:

@@ -20,12 +20,13 @@ from data import se2
 from data.columns.appearance import Noise
 from data.csv_table import is_name
 from data.errors import DataError, UsageError, did_you_mean, unknown
+from data.formats.arrays import is_arrays
 from data.formats.messages import file_and_word
 from data.formats.recordings.laser import TravelNoise
 from data.formats.results.reading import words_of
 from data.formats.tables import files as table_files
 from data.formats.tables.files import POSE, ROLES, SCANS, SECOND, STAMPED, STARRED, Columns, Given, TextTable, Units
-from data.formats.tables.layout import by_layout, landmarks_in_rows, seen_by_layout
+from data.formats.tables.layout import by_layout, landmarks_in_rows, named_alike, seen_by_layout
 from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of, path_of
 from data.formats.tables.motion import STAMPED as STAMPED_KINDS
 from data.formats.tables.scans import BEAMS
@@ -336,9 +337,10 @@ def settle(given: Given) -> Wanted:
     if "odometry" not in files:
         raise UsageError('a mapping file names the file with the odometry: odometry = "FILE"')
     files |= (several := files_of(given))
-    units = Units(table_files.pairs(given.get("unit", {}), "unit"))
+    keyed = (table_files.pairs(given.get(flag, {}), flag) for flag in ("unit", "columns"))
+    stated, named = ({table_files.quantity_of(key): value for key, value in each.items()} for each in keyed)
+    units = Units(stated)
     given = {**given, LENGTH: units.given.get(LENGTH, "")}
-    named = table_files.pairs(given.get("columns", {}), "columns")
     columns = Columns(named, units, _offsets(given, files, several), roles=(*ROLES, *several))
     if "period" in given:
         columns.period = table_files.quantity_with_unit(str(given["period"]), "time", "--period")
@@ -358,6 +360,11 @@ def settle(given: Given) -> Wanted:
         if own:
             files[role], texts[role] = files["odometry"], texts["odometry"]
             columns.notes.append(f"inferred: --{role} {files[role]}, of its columns {', '.join(own)}")
+        arrays = role == "map" and not own and is_arrays(files["odometry"])
+        if arrays and (layout := by_layout(texts["odometry"], role, alone=False)) is not None:
+            files[role], (texts[role], told, before) = files["odometry"], layout
+            columns.read |= {(files[role], name) for name in before}
+            columns.notes.append(f"inferred: --{role} {files[role]}, {told}")
     if not several and OBSERVATIONS not in texts:
         there = any(key in STARRED[:2] or key.startswith(f"{OBSERVATIONS}.") for key in named)
         there |= bool(table_files.stars(texts["odometry"]))
@@ -380,7 +387,7 @@ def settle(given: Given) -> Wanted:
     named_odometry = any(columns.quiet.has(texts["odometry"], "odometry", KINDS[k]) for k in ("velocities", "poses"))
     for role in ("odometry",) * (not named_odometry) + ("truth", "map"):
         if role in unnamed and (layout := by_layout(texts[role], role)) is not None:
-            texts[role], told = layout
+            texts[role], told, _ = layout
             columns.notes.append(f"{files[role].name}: inferred: {told}")
     typed = {key.rpartition(".")[2] for key in named}
     if OBSERVATIONS in texts and "map" not in texts and not typed & {"id", *table_files.IDS}:
@@ -391,11 +398,22 @@ def settle(given: Given) -> Wanted:
             files["map"] = files[OBSERVATIONS]
             columns.notes.append(f"{files['map'].name}: inferred: {told}")
     kind = _kind(given, texts, columns, "odometry", tuple(KINDS))
-    for role in (r for r in unnamed if r in (OBSERVATIONS, *several)):
+    beside = texts.get(OBSERVATIONS) is texts["odometry"] and not {"fixes", "observation-sigma"} & {*given}
+    if beside and "fixes" not in texts and _are_places(texts, columns, kind):
+        files["fixes"], texts["fixes"] = files.pop(OBSERVATIONS), texts.pop(OBSERVATIONS)
+        told = "x and y are places along which the odometry leads (--columns observations.x=NAME reads observations)"
+        columns.notes.append(f"inferred: --fixes {files['fixes']}, as its {told}")
+    for role in (r for r in unnamed if r in texts and r in (OBSERVATIONS, *several)):
         if (found := seen_by_layout(texts[role], lambda: path_of(texts, columns, kind))) is not None:
             texts[role], told, of = found
             units.given.update({f"{role}.{q}": unit for q, unit in of.items()})
             columns.notes.append(f"{files[role].name}: inferred: {told}, as which alone landmarks stand still")
+    for role in (r for r in (OBSERVATIONS, *several) if {r, "map"} <= {*texts}):
+        ids = [q for q in table_files.IDS if columns.quiet.find(texts[role], role, q) is not None]
+        if not ids and (same := named_alike(texts[role], texts["map"])) is not None:
+            columns.given = {**columns.given, f"{role}.label": same[0], "map.id": same[1]}
+            told = f"--columns {role}.label={same[0]},map.id={same[1]}, which hold the same names"
+            columns.notes.append(f"{files[role].name}: inferred: {told}")
     for role in (OBSERVATIONS, *several):
         stated = {q: named.get(f"{role}.{q}", named.get(q, "")) for q in (*STARRED, *table_files.IDS)}
         deep = table_files.solid_stars(texts[role], stated) if role in texts else {}
@@ -450,6 +468,29 @@ def settle(given: Given) -> Wanted:
         assumed=("odometry_noise",) * ("odometry-sigma" not in given) + ("prior",) * starts,
         **_of_fixes(given, files, texts, columns.quiet),
     )  # fmt: skip
+
+
+def _are_places(texts: Mapping[str, TextTable], columns: Columns, kind: str) -> bool:
+    """Whether x and y beside an odometry are not observations but places in the world, which fit the path better than
+    they stand still as landmarks, nor that path itself, which would count twice.
+    """
+    file, looked, wants = texts["odometry"], columns.quiet, ("t", "x", "y")
+    others = ("range", "bearing", *table_files.IDS)
+    alone = looked.has(file, OBSERVATIONS, wants) and not any(looked.has(file, OBSERVATIONS, (q,)) for q in others)
+    path = path_of(texts, columns, kind) if alone and kind != "poses" else None
+    if path is None or columns.stated(OBSERVATIONS, wants):
+        return False
+    seen = looked.table(file, OBSERVATIONS, wants, may_be_blank=wants[1:])[0].stack(wants)
+    seen = seen[np.isfinite(seen).all(axis=1)]
+    pose, place = se2.interpolate(*path, seen[:, 0]), seen[:, 1:]
+    off = se2.transform_points(np.tile(se2.rigid_fit(pose[:, :2], place), (len(place), 1)), pose[:, :2]) - place
+    still = se2.transform_points(pose, place)
+    step, own = (np.hypot(*np.diff(p, axis=0).T) for p in (place, pose[:, :2]))
+    apart = np.median(np.abs(step - own)) > COPIED * np.median(own)
+    return bool(apart and FITS * np.sum(off**2) < min(np.sum(np.var(p, axis=0)) * len(p) for p in (place, still)))
+
+
+FITS, COPIED = 4.0, 1e-3  # How much less of the variance a fit leaves; share of steps by which a copy differs
 
 
 def _kind(given: Given, texts: Mapping[str, TextTable], columns: Columns, role: str, known: Sequence[str]) -> str:

@@ -19,7 +19,7 @@ def table(convert):
 @pytest.mark.parametrize(
     ("text", "words", "said"),
     [
-        (GOOD, (*SIGMAS, "--columns", "speed=v"), "unknown quantity 'speed'; known: t,"),
+        (GOOD, (*SIGMAS, "--columns", "pressure=v"), "unknown quantity 'pressure'; known: t,"),
         (GOOD, (*SIGMAS, "--columns", "odometry.t=stamp"), "no column 'stamp' (odometry.t); it has columns t, v,"),
         (GOOD, (*SIGMAS, "--unit", "time=fortnight"), "unknown unit 'fortnight'; one of s, ms,"),
         (GOOD, (*SIGMAS, "--prior", "truth", "--prior-sigma", "0,0,0"), "--prior truth: --truth FILE is needed"),

@@ -106,6 +106,48 @@ def test_landmarks_named_by_words_and_the_start_that_takes_them_to_the_map(made)
     assert log.recorded.prior.mean == pytest.approx(np.zeros(3), abs=1e-3)
 
 
+def test_places_along_which_the_odometry_leads_are_fixes(made):
+    """Not observations of a landmark, which would stand still, nor the odometry's own path, which would count twice."""
+    rng, points = np.random.default_rng(4), se2.transform_points(np.stack([se2.inverse(p) for p in POSE]), [5.0, 2.0])
+    far = 6e5 + POSE[:, :2] + 0.1 * rng.standard_normal((COUNT, 2))
+    for names, places, count in (("Easting,Northing", far, COUNT), ("x,y", points, 0), ("x,y", POSE[:, :2], 0)):
+        rows = ((t, V, OMEGA, *p) for t, p in zip(TIME, places, strict=True))
+        words = ("--fix-sigma", "0.1") if count else ()
+        log, said = made({"robot.csv": csv(f"t,v,omega,{names}", rows)}, *words)
+        assert len(log.recorded.observations.z) == COUNT - count
+        assert ("--fixes robot.csv, as its x and y are places" in said) == bool(count)
+        if count:
+            assert log.recorded.prior.mean[:2] == pytest.approx([6e5, 6e5], abs=0.2)
+            assert float(said.split("--prior=")[1].split(",")[0]) == pytest.approx(log.recorded.prior.mean[0], abs=0.01)
+
+
+@pytest.mark.parametrize("names", ["lm{j}_range,lm{j}_bearing", "z_range_{j},z_bearing_{j}"])
+def test_numbers_of_landmarks_stand_anywhere_in_the_names_of_columns(made, names):
+    rows = ((t, V, OMEGA, *(v for z in zs for v in z)) for t, zs in zip(TIME, POLAR, strict=True))
+    title = ",".join(names.format(j=j) for j in range(1, 4))
+    log, said = made({"robot.csv": csv(f"t,v,omega,{title}", rows)})
+    assert log.recorded.observations.z[:3] == pytest.approx(np.array(POLAR[0]))
+    assert "inferred: --columns range=" in said
+
+
+def test_labels_are_the_column_that_holds_the_names_of_the_map(made):
+    seen, known = SEEN.replace("tag", "node"), KNOWN.replace("tag", "name")
+    log, said = made({"odo.csv": MOTION, "seen.csv": seen, "map.csv": known}, *LABELLED[:2], "--map", "map.csv")
+    assert "label=node,map.id=name" in said
+    assert log.label[:3].tolist() == [0, 1, 2]
+
+
+def test_a_matrix_of_a_row_of_x_and_one_of_y_is_the_map(made):
+    held = io.BytesIO()
+    z = np.array(POLAR)[:, [0, 1, 2, 0, 1]]  # two of the five landmarks stand where others do
+    np.savez(held, t=TIME, v=V + 0 * TIME, turn=OMEGA + 0 * TIME, landmarks=MAP[[0, 1, 2, 0, 1]].T,
+             z_range=z[:, :, 0], z_bearing=z[:, :, 1])  # fmt: skip
+    log, said = made({"a.npz": held.getvalue()}, "--columns", "yaw_rate=turn")
+    assert log.recorded.map.xy[:3] == pytest.approx(MAP)
+    assert "--map" in said
+    assert drives(log)
+
+
 def test_places_of_anchors_beside_their_ranges_are_the_map(made):
     rows = ((TIME[k], z[0], *MAP[j]) for k in range(COUNT) for j, z in enumerate(POLAR[k]))
     log, said = made({"odo.csv": MOTION, "uwb.csv": csv("t,range,anchor_x,anchor_y", rows)},
