@@ -108,7 +108,7 @@ def _plain_file(path: Path) -> dict[str, Any]:
 def _plain(value: Any) -> Any:
     """Numbers and equal lists as arrays, lists of objects and unequal lists as lists of dicts, as MATLAB's structs."""
     value = vars(value) if isinstance(value, _Object) else value
-    if isinstance(value, dict) and len(value) > 1 and all(is_number(str(key)) for key in value):  # by stamp or number
+    if isinstance(value, dict) and value and all(is_number(str(key)) for key in value):  # by stamp or number
         pairs = [(float(key), _plain(v)) for key, v in value.items()]
         value = [{"key": key, **(v if isinstance(v, dict) else {"value": v})} for key, v in pairs]
     if isinstance(value, dict):
@@ -183,10 +183,15 @@ def columns_of(
             columns |= _numbered(name, each[:, :3].reshape(len(each), -1))
     rows = tuple(zip_longest(*columns.values(), fillvalue=""))
     if not rows:
-        solid = [f"{n} {np.shape(a)}, as in --columns range={n}_1,bearing={n}_2" for n, a in deep.items()]
-        has = ", ".join([*(n for n in found if n not in deep), *solid])
+        has = ", ".join([*(n for n in found if n not in deep), *solids(path)])
         raise DataError.at(path, f"no vector of numbers; it has {has or 'nothing'}")
     return tuple(columns), rows
+
+
+def solids(path: Path) -> list[str]:
+    """How the arrays of three dimensions of a file can be named as observations."""
+    each = [(n, np.shape(a)) for n, a in named(file_and_word(path)[0]).items() if np.ndim(a) == 3]
+    return [f"{n} {shape}, as in --columns range={n}_1,bearing={n}_2" for n, shape in each]
 
 
 Columns = dict[str, list[str]]

@@ -24,7 +24,7 @@ from data.csv_table import Table, cut_off, ends_early, is_number
 from data.dates import DATES, DMY, EXAMPLE, MDY, is_date, seconds_of, unit_of, whole_dates
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean, unknown
-from data.formats.arrays import ELEMENT, columns_of, is_arrays
+from data.formats.arrays import ELEMENT, columns_of, is_arrays, solids
 from data.formats.messages import cut_end, kinds_of, parts_of, read_lines, whole_names
 from data.formats.results.reading import RATES, REFERENCE, TRUE, role_of, topics_in, words_of
 from data.inputs import IntArray
@@ -91,7 +91,8 @@ class TextTable:
             listed = ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 3 else ", ".join(run) for run in runs)
             parts.append(listed + f" ({rows} rows)" * bool(rows))
         text = "; ".join(parts)
-        return "columns " + (text if len(text) <= NAMES_SHOWN else text[:NAMES_SHOWN] + " ...")
+        text = text if len(text) <= NAMES_SHOWN else text[:NAMES_SHOWN] + " ..."
+        return "; ".join(["columns " + text, *(solids(self.path) if is_arrays(self.path) else [])])
 
     def series(self) -> dict[int, list[str]]:
         """Names by number of rows, of arrays that begin in the first row and end in different ones; else none."""

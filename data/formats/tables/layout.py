@@ -11,14 +11,15 @@ import numpy as np
 
 from data import se2
 from data.csv_table import is_number
+from data.formats.arrays import ELEMENT
 from data.formats.results.reading import only_reading
 from data.formats.tables.files import TextTable
 from data.se2 import Array
 
 WORDS = {
-    "odometry": ("odo", "control", "input"), "truth": ("tru", "real", "gt"), "map": ("map", "land", "lm", "beacon"),
+    "odometry": "odo|control|input|cmd|command|^u_", "truth": "tru|real|gt", "map": "map|land|lm|beacon|^m_",
 }  # fmt: skip
-"""Parts of names of matrices, of which one is taken among several that might be a role's."""
+"""Parts of names of matrices that tell a role, where a file has several."""
 LARGEST = 3.0 * np.pi  # rad, a direction of half a turn less a heading of one: bearings that were not wrapped
 SPANS = (1, 4, 16)  # Observations of a landmark between two that are compared
 CLEAR = 0.7  # Largest share of the next reading's spread: of 360 simulated tables 260 were read so, none wrong
@@ -31,13 +32,19 @@ def by_layout(file: TextTable, role: str, *, alone: bool = True) -> tuple[TextTa
     if role == "map" and file.names[:3] == ("key", "value_1", "value_2"):  # of objects by number
         told = "--columns map.id=key,map.x=value_1,map.y=value_2"
         return replace(file, names=("id", "x", "y", *file.names[3:])), told, file.names[:3]
-    parts = _parts(file)
+    parts = [p for p in _parts(file) if alone or p.line[0] == file.line[0]]
     if role == "map" and file.named:  # a row for x, one for y
         turned = (tuple(zip(*p.rows, strict=True)) if len(p.rows) < 4 < len(p.names) else p.rows for p in parts)
         parts = [replace(p, rows=rows) for p, rows in zip(parts, turned, strict=True)]
-    found = [(part, names) for part in parts if (names := _names(part.rows, role))]
-    if len(found) > 1 or not alone:
-        found = [f for f in found if any(word in f[0].names[0].lower() for word in WORDS.get(role, ()))]
+    tells = [{of for of, words in WORDS.items() if re.search(words, p.names[0].lower())} for p in parts]
+    free = [{role} if alone and len(parts) == 1 else of or {*[role] * alone} for of in tells]
+    each = zip(parts, free, strict=True)
+    found = [(p, names) for p, of in each if role in of and (names := _names(p.rows, role))]
+    if file.named and role == "odometry" and not found:  # commands, beside stamps or none
+        each = zip(parts, tells, strict=True)
+        found = [(p, ("v", "omega")) for p, of in each if role in of and len(p.names) == 2]
+    if len(found) > 1:
+        found = [f for f in found if re.search(WORDS.get(role, "$^"), f[0].names[0].lower())]
     if len(found) != 1:
         return None
     part, names = found[0]
@@ -54,9 +61,13 @@ def _parts(file: TextTable) -> list[TextTable]:
         if not file.named or (matched := re.fullmatch(r"(.+)_\d+", name)):
             matrices.setdefault(matched[1] if file.named and matched else "", []).append(column)
     parts = []
-    for columns in matrices.values():
+    for stem, columns in matrices.items():
+        there = [k for k, row in enumerate(file.rows) if any(row[c] for c in columns)]  # a longer matrix goes on
+        beside = (f"{stem}.{ELEMENT}", ELEMENT, f"{stem.rpartition('.')[0]}.key") if file.named else ()
+        columns[:0] = [
+            file.names.index(n) for n in beside if n in file.names and file.rows[there[0]][file.names.index(n)]
+        ]
         rows = [tuple(row[c] for c in columns) for row in file.rows]
-        there = [k for k, row in enumerate(rows) if any(row)]  # a longer matrix goes on
         if all(is_number(field) for k in there for field in rows[k]):
             names = tuple(file.names[c] for c in columns)
             parts.append(replace(file, names=names, rows=tuple(rows[k] for k in there), line=file.line[there]))
@@ -82,15 +93,16 @@ def _names(rows: Sequence[tuple[str, ...]], role: str) -> tuple[str, ...]:
 
 def seen_by_layout(
     file: TextTable, path_of: Callable[[], tuple[Array, Array] | None]
-) -> tuple[TextTable, str, dict[str, str]] | None:
-    """Observations with names, what says so, and units by quantity: stamp, then id and two numbers once or several
-    times. These keep landmarks in one place along a path, stamps (K,) [s] and poses (K, 3), in one reading alone; else
-    None.
+) -> tuple[TextTable, str, dict[str, str], tuple[str, ...]] | None:
+    """Observations with names, what says so, units by quantity, and the names before: stamp or element, then id and two
+    numbers once or several times. These keep landmarks in one place along a path, stamps (K,) [s] and poses (K, 3), in
+    one reading alone; else None.
     """
     for part in _parts(file):
         values = np.array(part.rows, float)
         if values.shape[1] < 4 or values.shape[1] % 3 != 1 or (np.diff(values[:, 0]) < 0.0).any():
             continue
+        first = "frame" if part.names[0].endswith(ELEMENT) else "t"
         each = values[:, 1:].reshape(-1, 3)
         ids = [j for j in range(3) if (each[:, j] == np.abs(np.round(each[:, j]))).all()]
         if len(ids) != 1:
@@ -98,7 +110,8 @@ def seen_by_layout(
         if (path := path_of()) is None:
             return None
         count = len(values[0]) // 3
-        pose = se2.interpolate(*path, np.repeat(values[:, 0], count))
+        at = values[:, 0] if first == "t" else path[0][np.minimum(values[:, 0].astype(int), len(path[0]) - 1)]
+        pose = se2.interpolate(*path, np.repeat(at, count))
         found = []
         for kind, order, sign in product((("range", "bearing"), ("x", "y")), (1, -1), ("", "-")):
             pair = [j for j in range(3) if j not in ids][::order]
@@ -113,8 +126,8 @@ def seen_by_layout(
             _, kind, pair, unit = found[0]
             named = {ids[0]: "label", pair[0]: kind[0], pair[1]: kind[1]}
             names = [f"{named[j]}{k}" if count > 1 else named[j] for k in range(1, count + 1) for j in range(3)]
-            told = f"its columns are {', '.join(['t', *names])}{f' ({kind[1]} in {unit})' * bool(unit)}"
-            return replace(part, names=("t", *names), named=True), told, {kind[1]: unit} if unit else {}
+            told = f"its columns are {', '.join([first, *names])}{f' ({kind[1]} in {unit})' * bool(unit)}"
+            return replace(part, names=(first, *names), named=True), told, {kind[1]: unit} if unit else {}, part.names
     return None
 
 

@@ -360,10 +360,9 @@ def settle(given: Given) -> Wanted:
         if own:
             files[role], texts[role] = files["odometry"], texts["odometry"]
             columns.notes.append(f"inferred: --{role} {files[role]}, of its columns {', '.join(own)}")
-        arrays = role == "map" and not own and is_arrays(files["odometry"])
+        arrays = role in ("map", "truth") and not own and is_arrays(files["odometry"])
         if arrays and (layout := by_layout(texts["odometry"], role, alone=False)) is not None:
-            files[role], (texts[role], told, before) = files["odometry"], layout
-            columns.read |= {(files[role], name) for name in before}
+            files[role], texts[role], told = files["odometry"], *_laid_out(texts["odometry"], role, columns, layout)
             columns.notes.append(f"inferred: --{role} {files[role]}, {told}")
     if not several and OBSERVATIONS not in texts:
         there = any(key in STARRED[:2] or key.startswith(f"{OBSERVATIONS}.") for key in named)
@@ -386,8 +385,9 @@ def settle(given: Given) -> Wanted:
         unnamed.append("map")
     named_odometry = any(columns.quiet.has(texts["odometry"], "odometry", KINDS[k]) for k in ("velocities", "poses"))
     for role in ("odometry",) * (not named_odometry) + ("truth", "map"):
-        if role in unnamed and (layout := by_layout(texts[role], role)) is not None:
-            texts[role], told, _ = layout
+        known = any(key.startswith(f"{role}.") for key in columns.given)
+        if role in unnamed and not known and (layout := by_layout(texts[role], role)) is not None:
+            texts[role], told = _laid_out(texts[role], role, columns, layout)
             columns.notes.append(f"{files[role].name}: inferred: {told}")
     typed = {key.rpartition(".")[2] for key in named}
     if OBSERVATIONS in texts and "map" not in texts and not typed & {"id", *table_files.IDS}:
@@ -405,7 +405,8 @@ def settle(given: Given) -> Wanted:
         columns.notes.append(f"inferred: --fixes {files['fixes']}, as its {told}")
     for role in (r for r in unnamed if r in texts and r in (OBSERVATIONS, *several)):
         if (found := seen_by_layout(texts[role], lambda: path_of(texts, columns, kind))) is not None:
-            texts[role], told, of = found
+            texts[role], told, of, before = found
+            columns.read |= {(texts[role].path, name) for name in before}
             units.given.update({f"{role}.{q}": unit for q, unit in of.items()})
             columns.notes.append(f"{files[role].name}: inferred: {told}, as which alone landmarks stand still")
     for role in (r for r in (OBSERVATIONS, *several) if {r, "map"} <= {*texts}):
@@ -468,6 +469,18 @@ def settle(given: Given) -> Wanted:
         assumed=("odometry_noise",) * ("odometry-sigma" not in given) + ("prior",) * starts,
         **_of_fixes(given, files, texts, columns.quiet),
     )  # fmt: skip
+
+
+def _laid_out(
+    file: TextTable, role: str, columns: Columns, layout: tuple[TextTable, str, tuple[str, ...]]
+) -> tuple[TextTable, str]:
+    """The table of a role by its layout, and what is said: of a matrix beside others its columns are stated."""
+    table, told, before = layout
+    if not file.named or len(before) != len(table.names):
+        columns.read |= {(file.path, name) for name in before}
+        return table, told
+    columns.given = {**columns.given, **{f"{role}.{q}": n for q, n in zip(table.names, before, strict=True)}}
+    return file, told
 
 
 def _are_places(texts: Mapping[str, TextTable], columns: Columns, kind: str) -> bool:

@@ -3,6 +3,7 @@
 import gzip
 import io
 import json
+import pickle
 import sys
 import zipfile
 
@@ -146,6 +147,31 @@ def test_a_matrix_of_a_row_of_x_and_one_of_y_is_the_map(made):
     assert log.recorded.map.xy[:3] == pytest.approx(MAP)
     assert "--map" in said
     assert drives(log)
+
+
+@pytest.mark.parametrize("suffix", ["npz", "pkl"])
+def test_matrices_are_the_parts_that_their_names_tell(made, suffix):
+    """Commands, a truth and a map; of lists of objects each observation in the row of its element."""
+    held, listed = io.BytesIO(), [[(j, *z) for j, z in enumerate(zs) if (k + j) % 4] for k, zs in enumerate(POLAR)]
+    parts = {"controls": np.tile([V, OMEGA], (COUNT, 1)), "gt_pose": POSE, "landmarks": MAP, "t": TIME}
+    if suffix == "npz":
+        np.savez(held, **parts, z_range=np.array(POLAR)[:, :, 0], z_bearing=np.array(POLAR)[:, :, 1])
+    else:
+        pickle.dump(parts | {"seen": listed}, held)
+    log, _ = made({f"a.{suffix}": held.getvalue()})
+    count = 3 * COUNT if suffix == "npz" else sum(map(len, listed))
+    assert drives(log)
+    assert (len(log.recorded.observations.z), len(np.unique(log.label))) == (count, 3)
+    assert log.recorded.map.xy == pytest.approx(MAP)
+    assert log.truth.pose[:, :2] == pytest.approx(POSE[:, :2])
+
+
+def test_objects_by_number_may_be_one(made):
+    rows = [{"t": t, "v": V, "w": OMEGA, "seen": {j: list(z) for j, z in enumerate(zs[: 1 + k % 3])}}
+            for k, (t, zs) in enumerate(zip(TIME, POLAR, strict=True))]  # fmt: skip
+    names = "label=seen.key,range=seen.value_1,bearing=seen.value_2,frame=element"
+    log, _ = made({"a.json": json.dumps(rows)}, "--columns", names)
+    assert len(log.recorded.observations.z) == sum(1 + k % 3 for k in range(COUNT))
 
 
 def test_places_of_anchors_beside_their_ranges_are_the_map(made):
