@@ -112,15 +112,23 @@ def unknown_world(name: str) -> str:
     return meant(name, ["victoria-park", *registry.SIMULATORS, *(f"{world}:0" for world in registry.SIMULATORS)])
 
 
+def require_log(name: str | os.PathLike[str]) -> None:
+    """UsageError with the command to type for a file or folder that is no log."""
+    path = Path(name)
+    if not os.path.exists(path) or os.path.exists(path / "log.toml") or recording_in(path) is not None:
+        return
+    from data.formats.recognize import what_to_type
+
+    if said := what_to_type(path):
+        raise UsageError(f"{path}: {said}")
+
+
 def _recorded(path: Path, reading: Reading, say: Callable[[str], None]) -> Log | None:
     """The recording of a wing that is a file, or a folder without a `log.toml`; None for a folder of no wing."""
     if (recording := recording_in(path)) is not None:
         log: Log = used(recording.opens)(path, reading, say)
         return log
-    from data.formats.recognize import what_to_type
-
-    if said := what_to_type(path):
-        raise UsageError(f"{path}: {said}")
+    require_log(path)
     if path.is_dir():
         return None
     right = "an open log folder, a CARMEN log (.log, .clf, also .gz, .bz2) or a world such as arena:0"

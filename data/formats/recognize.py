@@ -26,7 +26,7 @@ def what_to_type(path: Path) -> str:
     if path.is_dir():
         if (path / "provenance.json").is_file():
             return f"a result folder; type slamref report {file}, or name one of its logs"
-        return KINDS[".bag .mcap .db3"].format(file=file) * (path / "metadata.yaml").is_file()
+        return KINDS[".bag .mcap .db3"].format(file=file) if (path / "metadata.yaml").is_file() else _tables(path)
     if path.suffix.lower() == ".mat":
         folder = path.absolute().parent
         if (recording := recording_in(folder)) is not None:
@@ -43,6 +43,29 @@ def what_to_type(path: Path) -> str:
         return f"a pose graph; slamref audit {file} optimizes it, slamref convert g2o {file} LOG makes it a log"
     ours = (said for of, said in KINDS.items() if path.suffix.lower() in of.split())
     return (KINDS[".g2o .graph .toro"] if landmarks else next(ours, "")).format(file=file)
+
+
+def _tables(folder: Path) -> str:
+    """The command that takes the tables of a folder, whose names tell their parts; empty where none is of odometry."""
+    from data.formats.results.reading import words_of
+    from data.formats.tables.files import PARTS
+
+    words = {"observations": PARTS["observations"] | RANGES, "odometry": PARTS["odometry"] | MOTION, "map": MAP}
+    words = {**words, "fixes": PARTS["fixes"], "truth": PARTS["truth"]}
+    found: dict[str, str] = {}
+    for file in sorted(f for f in folder.iterdir() if f.suffix.lower() in TABLES):
+        own = {word.rstrip("s") for word in words_of(file.stem)[0]}
+        role = next((role for role, of in words.items() if own & of), "")
+        found.setdefault(role, shlex.quote(str(file)))
+    odometry, others = found.pop("odometry", ""), sorted(found.keys() - {""})
+    flags = " ".join(f"--{role} {found[role]}" for role in others)
+    return f"a folder of tables; type slamref convert table {odometry} LOG {flags}".rstrip() if odometry else ""
+
+
+TABLES = (".csv", ".tsv", ".txt", ".dat", ".xlsx", ".parquet")
+MOTION = frozenset(("motion", "control", "command", "cmd", "velocity", "speed"))
+RANGES = frozenset(("uwb", "range", "bearing"))
+MAP = frozenset(("map", "landmark", "anchor", "beacon", "marker"))
 
 
 def edges_of(path: Path) -> tuple[int, int]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from data.command import without_places
 from data.errors import UsageError
+from data.logs import require_log
 from data.notice import Code, Notice, Severity, ordered
 from data.terminal import WRONG, counted
 from data.words import sentence
@@ -39,6 +40,8 @@ def run(options: Options, console: Console, folder: Path, command: Sequence[str]
     style, about_style = figure_style_of(options.drawing, options.output)
     if about_style:
         console.say(about_style)
+    for name in options.selection.log or ():
+        require_log(name)  # what is no log need not wait
     compile_if_needed(console.quiet)
     plan, begin = make_plan(options, console.say), time.time()
     console.kept = lambda: store.kept_since(options.output.kept, begin)

@@ -132,3 +132,12 @@ def test_twins_of_bearings_draw_no_ranges(tmp_path):
     np.testing.assert_array_equal(found.z[:, 0], log.recorded.observations.z[:, 0])
     off = se2.wrap_angle(found.z[:, 1] - log.recorded.observations.z[:, 1])
     assert np.std(off) == pytest.approx(np.sqrt(2.0) * SIGMA_BEARING, rel=0.1)
+
+
+def test_a_folder_of_tables_is_answered_with_the_command_that_takes_them(tmp_path, refused):
+    for name in ("wheel_odom.csv", "gps_fix.csv", "uwb.csv", "beacons.txt", "notes.csv"):
+        (tmp_path / name).write_text("a,b\n1,2\n")
+    said = what_to_type(tmp_path).replace(str(tmp_path), "D")
+    assert (
+        "convert table D/wheel_odom.csv LOG --fixes D/gps_fix.csv --map D/beacons.txt --observations D/uwb.csv" in said
+    )
