@@ -174,33 +174,23 @@ class LogFaults:
 class Judgement:
     """Of one log and task, from all its runs.
 
-    Attributes:
-        runs: every run in every phase, in the order of metrics.csv; `last`: in its last phase.
-        measured: whether errors are known at all.
-        given: names of results that were handed in.
-        methods: how the association methods without labels did; None: no scored ones.
-        cause: None without a diagnosis.
-        verdict, covariances: whose path to use, and whether its covariances may be used, too.
-        objections: to the verdict, the strongest first.
-        origins: of the log's noise, prior and so on, unless the recording states them.
-
     Example:
         >>> [(o.objection, o.estimator) for o in slamref.judge(trial).objections]
     """
 
     log: str
     task: str
-    measured: bool
-    runs: tuple[RunJudgement, ...]
+    measured: bool  # whether errors are known at all
+    runs: tuple[RunJudgement, ...]  # every run in every phase, in the order of metrics.csv; `last`: in its last phase
     compared: Comparison
-    verdict: Verdict
-    covariances: bool
-    objections: tuple[Objected, ...] = ()
-    methods: Methods | None = None
-    cause: Cause | None = None
+    verdict: Verdict  # whose path to use
+    covariances: bool  # whether its covariances may be used, too
+    objections: tuple[Objected, ...] = ()  # to the verdict, the strongest first
+    methods: Methods | None = None  # how the association methods without labels did; None: no scored ones
+    cause: Cause | None = None  # None without a diagnosis
     log_faults: LogFaults = field(default_factory=LogFaults)
-    given: tuple[str, ...] = ()
-    origins: Origins = field(default_factory=dict)
+    given: tuple[str, ...] = ()  # names of results that were handed in
+    origins: Origins = field(default_factory=dict)  # of noise, prior and so on, unless the recording states them
 
     @property
     def assumed_noise(self) -> tuple[str, ...]:

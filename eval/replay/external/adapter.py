@@ -254,17 +254,13 @@ def _brief(value: Any) -> str:
 class Samples(NamedTuple):
     """Pose samples of your own estimator, such as a particle filter, as the return value of its `estimate`.
 
-    Attributes:
-        poses: (n, 3) x, y [m], theta [rad] in the world frame, n > 1.
-        weights: (n,), not normalized; None: equal.
-
     Example:
         >>> samples = slamref.Samples(np.array([[0.0, 0.0, 0.1], [0.2, 0.0, -0.1]]))
         >>> samples.estimate().mean  # array([0.1, 0. , 0. ])
     """
 
-    poses: Array
-    weights: Array | None = None
+    poses: Array  # (n, 3) x, y [m], theta [rad] in the world frame, n > 1
+    weights: Array | None = None  # (n,), not normalized; None: equal
 
     @property
     def effective(self) -> float:
