@@ -208,8 +208,7 @@ class Run(Locked):
     closures: PoseUpdated | None = None  # and of its closures
     fixes_final: PoseUpdated | None = None  # after all data, where that differs (`gnc`, or a smoother's residuals)
     closures_final: PoseUpdated | None = None
-    handed_in: ClassVar[bool] = False
-    """Whether it is another program's result."""
+    handed_in: ClassVar[bool] = False  # Whether it is another program's result
 
     @property
     def decides(self) -> bool:

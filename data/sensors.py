@@ -227,8 +227,7 @@ class Sensor:
     kind: ClassVar[int]
     name: ClassVar[str]
     units: ClassVar[tuple[str, str]]
-    sees_points: ClassVar[bool] = True
-    """Whether landmarks are points (x, y); else walls (rho, alpha)."""
+    sees_points: ClassVar[bool] = True  # Whether landmarks are points (x, y); else walls (rho, alpha)
     errors: ClassVar[tuple[str, ...]] = ("range", "bearing")
     """Systematic errors of the sensor (`data.inputs.ERRORS`) that can be estimated."""
     measures: ClassVar[tuple[int, ...]] = (0, 1)  # Which of the two numbers are measured

@@ -138,8 +138,7 @@ of a stiff path is crossed more easily while it is wide."""
 SEARCHES = (
     (gtsam.LevenbergMarquardtOptimizer, gtsam.LevenbergMarquardtParams()),
     (gtsam.DoglegOptimizer, gtsam.DoglegParams()),
-)
-"""Of gtsam, tried in turn where ours fails: short steps first, where the linearized problem predicts badly."""
+)  # Of gtsam, tried in turn where ours fails: short steps first, where the linearized problem predicts badly
 SUSPECT = 2.0  # cost per degree of freedom (its half the expectation) above which a minimum may be a wrong one
 ON_THE_ROBOT = 0.01  # m. A landmark estimated nearer to a pose that observed it has no well-defined bearing
 TINY = 1e-9  # m, rad. Replaces a sigma of zero when a step is measured in sigmas

@@ -324,8 +324,7 @@ def lay_out(
 
 SENSOR = RangeBearing(max_range=10.0, min_angle=-0.6, max_angle=0.6)
 """The camera; recordings have ranges up to 9.2 m and bearings up to 0.58 rad to either side."""
-CORRECTED = "Landmark_Groundtruth.corrected.dat"
-"""A corrected landmark file, for a dataset whose published file has rows exchanged."""
+CORRECTED = "Landmark_Groundtruth.corrected.dat"  # Corrected landmarks, for a dataset whose own has rows exchanged
 
 
 def robots(source: Path) -> list[int]:

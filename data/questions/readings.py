@@ -82,8 +82,7 @@ HEARD = {
     Part.OBSERVATIONS: ("observations and odometry", "observations and truth", "observations and map"),
     Part.MAP: ("observations and truth", "observations and map"),
     Part.TRUTH: (witnesses.BY_TRUTH, "observations and truth"),
-}
-"""Witnesses that speak of a part."""
+}  # Witnesses that speak of a part
 METRES = {unit: metres for unit, metres in LENGTH.items() if unit != "m"}
 SPEEDS = {"mm/s": 1e-3, "cm/s": 1e-2, "ft/s": 0.3048, "km/h": 1.0 / 3.6, "mph": 0.44704, "kn": 1852.0 / 3600.0}
 DEG = math.pi / 180.0

@@ -137,10 +137,7 @@ OF_SENSOR = {"range": "range_error", "bearing": "bearing_error"}  # Parameter na
 
 @dataclass(frozen=True)
 class Imperfect:
-    """Systematic errors of the robot, and appearance of landmarks, as parameters of a world.
-
-    False alarms look like some landmark.
-    """
+    """Systematic errors of the robot, and appearance of landmarks and of false alarms, which look like some of them."""
 
     scale: float = told(
         0.0, "error of the odometry's distances: the robot goes (1 + scale) times the measured one (0.9 times: -0.1)"

@@ -29,9 +29,7 @@ HEADINGS = ((1, 0), (0, 1), (-1, 0), (0, -1))  # East, north, west, south
 
 @dataclass(frozen=True)
 class Park(Imperfect):
-    """Parameters of the world; park size and number of trees follow from the length of the drive. UsageError if
-    invalid.
-    """
+    """Parameters of the world; the park's size and its trees follow from the length. UsageError if invalid."""
 
     frames: int = told(2000, "number of frames")
     period: float = told(1.0, "s between frames, one odometry sample each")

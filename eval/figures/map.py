@@ -31,8 +31,7 @@ FAINT = "#b0b0b0"  # Of fixes and closures
 GREY = "#606060"  # What the legend shows of every estimator
 AMBIGUOUS: dict[str, Any] = {"color": "black", "marker": "D", "fillstyle": "none", "linestyle": "none"}
 """Around landmarks that another place would suit as well."""
-Surveyed = Callable[[Axes], Sequence[Line2D]]
-"""Draws what was surveyed on a map, and returns what the legend shows of it."""
+Surveyed = Callable[[Axes], Sequence[Line2D]]  # Draws what was surveyed on a map, and returns what the legend shows
 
 
 def _with_ellipses(shown: Sequence[house.Series]) -> list[house.Series]:
@@ -107,8 +106,7 @@ def map_figure(
     return fig
 
 
-DASH = 5.0
-"""Length [line widths] of a dash of the second solid path; the gaps of each further one are longer by as much."""
+DASH = 5.0  # Length [line widths] of a dash of the second solid path; gaps of each further one are longer by as much
 
 
 def _draw_paths(ax: Axes, m: _Map) -> list[Line2D | Patch]:

@@ -25,8 +25,7 @@ SENSED_GATE = 0.9999
 """Default gate for labels read by a sensor: it loses one right observation in 10 000, and a misread barcode moves an
 ungated estimate by decimetres. Chosen among gates from 0.99 to 0.99999 and robust losses (docs/results.md)."""
 
-POSE_GATE = SENSED_GATE
-"""Default gate of fixes and closures, for the same reason: a false one moves an ungated estimate by metres."""
+POSE_GATE = SENSED_GATE  # Default gate of fixes and closures: a false one, too, moves an ungated estimate by metres
 
 
 @dataclass(frozen=True)

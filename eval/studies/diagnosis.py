@@ -116,8 +116,7 @@ def _beside(real: Sample, twins: Sequence[Sample]) -> tuple[Array, Array, Array,
     return values, drawn, z, theory, np.array([not name.endswith(SHARES) for _, name in keys], bool)
 
 
-EXCEEDED = 5
-"""Twins beyond the log's largest statistic that end a test (Besag and Clifford 1991); three of 99 forbid rejection."""
+EXCEEDED = 5  # Twins beyond the log's largest statistic that end a test (Besag, Clifford 1991); 3 of 99: no rejection
 BEYOND = 10.0  # spreads of the twins beyond which no more of them will be
 LOW, HIGH = 0.01, battery.LEVEL  # family-wise p value of slopes that rejects, or not, whatever share they have
 
@@ -288,8 +287,7 @@ def _estimators(twins: Sequence[Sample]) -> list[Finding]:
     return found + [f for f in attribution.innovation_errors(nis) if f.name not in convicted]
 
 
-Tried = tuple[float, Finding, Inputs]
-"""Logarithm of the odds of an explanation, and the inputs corrected by it."""
+Tried = tuple[float, Finding, Inputs]  # Logarithm of the odds of an explanation, and the inputs corrected by it
 ROUNDS = 4  # explanations, one after the other
 WIDE, STEP = 0.7, 0.05  # of the logarithm of a sigma: half the range it is looked for in, and that of its curvature
 TRIED = 3  # explanations of a kind whose likelihood is computed

@@ -31,9 +31,7 @@ MAY_BE_ZERO = (
 
 @dataclass(frozen=True)
 class Gallery:
-    """Parameters of world, robot, camera and rendering. UsageError for an invalid value, or pictures or path that do
-    not fit.
-    """
+    """Parameters of world, robot, camera and rendering. UsageError for an invalid value, or what does not fit."""
 
     duration: float = told(60.0, "s")
     rate: float = told(6.0, "Hz of the frames, and of the commands")

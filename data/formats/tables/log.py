@@ -692,8 +692,7 @@ MOVED = 1e-3  # m between two fixes from which equal ones are held
 CONCENTRATED, ODD = 0.9, 0.5  # Length of the mean unit vector of angles that agree, at least, and of others, at most
 
 
-NEAR, SURE = 2.0, 3.0
-"""m, way from the start within which observations tell it; largest deviation of these, in sigma."""
+NEAR, SURE = 2.0, 3.0  # m, way from the start within which observations tell it; largest deviation of these, in sigma
 
 
 def _onto_map(

@@ -197,8 +197,7 @@ def kind_of(value: object) -> str:
     return f"{'an' if name[0].lower() in 'aeiou' else 'a'} {name}"
 
 
-PASSED = (FilterDivergedError, UnderConstrained, SingularInnovationError, MemoryError)
-"""Errors of our own code, caught elsewhere."""
+PASSED = (FilterDivergedError, UnderConstrained, SingularInnovationError, MemoryError)  # Our own, caught elsewhere
 
 
 class ForeignError(Exception):

@@ -48,8 +48,7 @@ NEEDS_TRUST = (
     "holds Python objects (a pickle), which can run code when loaded; save plain arrays, "
     "or add --trust-pickle if you trust the file's author"
 )
-UNPICKLING = (pickle.UnpicklingError, ImportError, AttributeError, IndexError, *BROKEN)
-"""Errors of a pickle that cannot be loaded."""
+UNPICKLING = (pickle.UnpicklingError, ImportError, AttributeError, IndexError, *BROKEN)  # No loadable pickle
 SMALL = 2  # most dimensions of arrays that are read whole (timestamps and commands)
 FRAME_FIRST, FIELD_FIRST = "[{frame}][{field!r}]", "[{field!r}][{frame}]"
 

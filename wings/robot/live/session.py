@@ -162,8 +162,7 @@ class Session:
         return taken
 
 
-COLUMNS = "frame,t,estimator,x,y,theta,xx,xy,xt,yy,yt,tt"
-"""Pose [m, m, rad] and its covariance; numbers are written without loss."""
+COLUMNS = "frame,t,estimator,x,y,theta,xx,xy,xt,yy,yt,tt"  # Pose [m, rad] and its covariance, written without loss
 
 
 @contextmanager
