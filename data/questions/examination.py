@@ -325,9 +325,7 @@ def _over_noise(c: Case, s: Samples) -> float:
 
 
 def fastest(time: Array, turn: Array) -> float:
-    """The largest rate [rad/s] of turns (N - 1,) over seconds (or steps), without jumps by 2 pi; 0 if few seconds are
-    above `FASTEST`.
-    """
+    """The largest rate [rad/s] of turns (N - 1,) over seconds or steps, without jumps by 2 pi; 0: few are fast."""
     jumps = np.abs(np.abs(turn) - TURN) < 1.0
     if jumps.mean() < 1.0 / TURN:  # between jumps are as many steps, of less than 1 rad, as make a turn
         turn = np.where(jumps, 0.0, turn)
@@ -563,9 +561,7 @@ SURE = 3.0  # Sigmas from which on a step's turn is no noise
 
 
 def explanations(c: Case, *, whole: bool = True) -> list[Explained]:
-    """The readings that explain most what does not fit, equal ones together; none of a sound log. `whole`: of which
-    one half may be sound.
-    """
+    """The readings that explain most misfit, equal ones together, if any. `whole`: one half of it may be sound."""
     s = witnesses.samples(c)
     x = Examination(c, s)
     if minutes := _minutes(c):

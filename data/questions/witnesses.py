@@ -29,9 +29,7 @@ WEIGHT = 100.0  # Largest number of independent differences of a witness; errors
 
 @dataclass(frozen=True)
 class Fit:
-    """How well two parts agree: RMS difference over the size of what is compared (2: none), the same of the stated
-    noise, and the number of differences.
-    """
+    """How well two parts agree: RMS difference per size of either (2: none), per noise, number of differences."""
 
     off: float
     noise: float

@@ -287,9 +287,7 @@ MANY = 50  # First rows, of which one shows whether a column holds lists
 
 
 def _each(rows: Sequence[Sequence[str]]) -> int:
-    """How many numbers each of several observations has, in rows of at least three lengths behind ascending stamps; 0:
-    none, or not known.
-    """
+    """How many numbers each observation has, in rows of three or more lengths behind stamps; 0: none, unknown."""
     count = math.gcd(*(len(row) - 1 for row in rows))
     if count not in (2, 3) or len(set(map(len, rows))) < SLOTS or not all(map(is_number, itertools.chain(*rows))):
         return 0
@@ -340,9 +338,7 @@ def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
 
 
 def _by_stamp(path: Path, tables: Sequence[TextTable]) -> TextTable | None:
-    """The rows of the first table, each with those of the others with the nearest stamps; None where one has none, or
-    where all are the same.
-    """
+    """Rows of the first table, each with the nearest in time of the others; None: one has none, or all are equal."""
     stamps = [[k for k, name in enumerate(t.names) if t.named and {*words_of(name)[0]} & {*STAMP}] for t in tables]
     if not all(len(found) == 1 for found in stamps):
         return None
@@ -720,9 +716,7 @@ class Columns:
         return self._in_unit(file, role, quantity, also[0])
 
     def _in_unit(self, file: TextTable, role: str, quantity: str, column: int, *, stated: bool = False) -> int:
-        """The column, which is noted with the unit that its name ends with, where none is stated; of a `stated` column
-        where that is no SI unit.
-        """
+        """The column, noted with the unit in its name if none is stated; of a `stated` one if that is no SI unit."""
         name, key = file.names[column], f"{role}.{quantity}"
         note = f"{file.path.name}: {quantity} of {role} is read from {name}"
         unit, dimension, said = words_of(name)[1] * ("+" not in name), QUANTITIES[quantity], not stated

@@ -238,9 +238,7 @@ class Duplicates:
 
 
 class Compared(NamedTuple):
-    """New and old landmarks with their joint statistics; `covisible` (m, n): they cannot be the same, as they
-    were seen together or look different.
-    """
+    """New and old landmarks, their joint statistics; `covisible` (m, n): seen together or of other looks."""
 
     new: Landmarks
     old: Landmarks

@@ -152,9 +152,7 @@ def _nearest(
 
 
 def beginnings(found: Reassociation) -> dict[int, int]:
-    """The observation that each landmark begins with, the surest one. It names the landmark, so an error there
-    would make all its right decisions wrong.
-    """
+    """The surest observation of each landmark, its first: an error there makes all right decisions wrong."""
     rows = np.lexsort((found.misfit, found.number))
     numbers, first = np.unique(found.number[rows], return_index=True)
     return {n: row for n, row in zip(numbers.tolist(), rows[first].tolist(), strict=True) if n >= 0}

@@ -139,9 +139,7 @@ class Session:
         self, names: Sequence[str], association: str, setup: Setup, noise: Noise = USUAL,
         processed: Callable[[Taken], None] = lambda taken: None, fit: str = USUAL_FIT, scanning: Online | None = None,
     ) -> None:  # fmt: skip
-        """Start; `processed` gets every processed frame, `fit` is of walls (`wings.robot.walls.FITS`), `scanning` is an
-        estimator of scans beside those by walls.
-        """
+        """Start; `processed` gets frames, `fit` is of walls (`walls.FITS`), `scanning` another estimator."""
         self.estimating: list[Online] = [Estimating(name, association, setup) for name in names]
         self.estimating += [] if scanning is None else [scanning]
         self.spent = [Latencies() for _ in self.estimating]  # time of each estimator by frame
