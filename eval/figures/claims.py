@@ -272,11 +272,8 @@ PANELS = (
 
 @house.drawing()
 def outlier_figure(table: pd.DataFrame, title: str) -> Figure:
-    """Position RMSE and pose NEES with their intervals against the share of wrong associations, a row per task.
-
-    Args:
-        table: one row per task, estimator and rate, with the columns of `PANELS`; NaN values are gaps.
-        title: what was studied.
+    """Position RMSE and pose NEES with their intervals against the share of wrong associations, a row per task. `table`
+    has a row per task, estimator and rate, with the columns of `PANELS`; NaN values are gaps.
     """
     tasks, names = list(dict.fromkeys(table["task"])), list(dict.fromkeys(table["estimator"]))
     rates = sorted({float(r) for r in table["rate"]})

@@ -244,17 +244,13 @@ def coverage(values: Array, dof: int, level: float) -> Verdict:
 
 
 def lag1(white: Array, frame: IntArray, number: IntArray) -> tuple[float, float]:
-    """Mean product of a landmark's standardized innovations in consecutive frames, and its standard error if white.
-
-    Args:
-        white: (M, 2) innovations times the inverse root of their own 2x2 covariance, at the prediction; NaN: not used.
-        frame: (M,) frame of each observation.
-        number: (M,) landmark it was paired with; negative: none.
+    """Mean product of a landmark's standardized innovations in consecutive frames, and its standard error if white, of
+    `white` (M, 2), times the inverse root of their own covariance, NaN: not used; `number` (M,): landmark or < 0.
 
     Given all data up to frame k, a consistent filter's innovation in frame k+1 has mean zero (Bar-Shalom, Li,
-    Kirubarajan 5.4.2), so T = sum of w_k' w_k+1 over the landmarks of both frames is a martingale difference. Hence
-    r = sum T / (2 pairs) has mean 0, and sum T^2 estimates the variance of sum T although innovations within a frame
-    are correlated. r is in units of the stated variance; it is a correlation only if that is right (see
+    Kirubarajan 5.4.2), so T = sum of w_k' w_k+1 over the landmarks of both frames is a martingale difference. Hence r =
+    sum T / (2 pairs) has mean 0, and sum T^2 estimates the variance of sum T although innovations within a frame are
+    correlated. r is in units of the stated variance; it is a correlation only if that is right (see
     `lag1_correlation`). Returns (nan, nan) without pairs.
     """
     before, after = successive(white, frame, number)

@@ -394,14 +394,8 @@ class Detected:
 
 
 class Detector:
-    """Detects the pictures of a set of reference images.
-
-    Args:
-        references: RGB images (h, w, 3) uint8, each exactly one picture.
-        widths: (L,) m, as surveyed; None if unknown, then sizes are not checked.
-
-    Raises:
-        DataError: no reference image, one with too few features, or a wrong number of widths.
+    """Detects the pictures of reference images (h, w, 3), RGB, uint8, each exactly one picture, `widths` (L,) [m] as
+    surveyed (None: unknown, not checked). DataError: no image, one with too few features, or a wrong number of widths.
     """
 
     def __init__(self, references: list[Image], widths: Array | None = None) -> None:

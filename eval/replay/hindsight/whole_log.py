@@ -172,13 +172,7 @@ Pairs = list[tuple[int, int]]  # landmarks to remove, each with the one that it 
 
 def same_landmarks(sensor: Sensor, path: Array, known: LandmarkMap, seen: Observations, number: IntArray) -> Pairs:
     """Landmarks of a map that equal one with a lower number; each is in one pair at most, the surest pairs come first.
-
-    Args:
-        sensor: its range is that in which observations were made.
-        path: (N, 3) poses.
-        known: the map.
-        seen: observations (M), ascending by frame, with their noise as it is.
-        number: (M,) landmark of each, -1 for none.
+    The sensor's range is that in which observations (M,) of landmarks `number` (M,), -1 for none, were made.
     """
     order = np.argsort(number, kind="stable")
     numbers, begin = np.unique(number[order], return_index=True)

@@ -524,15 +524,8 @@ def scan_ranges(
     poses: Array, scanner: Scanner, beams: int, walls: Array, *, glass: BoolArray | None = None,
     discs: Array | None = None,
 ) -> Array:  # fmt: skip
-    """Exact ranges (S, B) [m] from body poses (S, 3) in the world, inf for no return.
-
-    Args:
-        poses: world frame.
-        scanner: its angles, extrinsic and max_range.
-        beams: B.
-        walls: (W, 4) segments x0, y0, x1, y1 [m], world frame.
-        glass: (W,) true where a wall returns nothing, but occludes.
-        discs: (S, D, 3) x, y, radius [m] of discs at each pose; one that contains the scanner is not seen.
+    """Exact ranges (S, B) [m] from body poses (S, 3), inf for no return. walls (W, 4): x0, y0, x1, y1 [m]; glass (W,):
+    it returns nothing, but occludes; discs (S, D, 3): x, y, radius [m] at each pose, none is seen from inside.
     """
     at = compose(np.asarray(poses, float), inverse(np.array([*scanner.translation, scanner.rotation])))
     ranges = np.empty((len(at), beams))
