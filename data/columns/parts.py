@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from data.columns import appearance as looks
-from data.columns import poses
+from data.columns import appearance as looks, poses
 from data.columns.header import FORMAT, HEADER, LATEST, Header, header_of
 from data.columns.named import COVARIANCE, UPPER, require_semidefinite, unused
 from data.columns.sensors import FIRST, NOISE, SENSOR, may_be_blank, observed

@@ -21,8 +21,7 @@ from data.columns.scans import with_returns
 from data.digest import source_file
 from data.earth import east_north_up
 from data.errors import DataError, UsageError, did_you_mean
-from data.formats.recordings import laser as lasers
-from data.formats.recordings import ros
+from data.formats.recordings import laser as lasers, ros
 from data.formats.recordings.beams import on_one_set
 from data.formats.recordings.laser import FLOOR, TravelNoise
 from data.formats.recordings.mending import AS_STATED, Mending, beam_angles, piled_up, require_metres

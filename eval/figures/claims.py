@@ -17,8 +17,7 @@ from data.result import Run, Systematics
 from data.se2 import Array
 from data.terminal import counted
 from data.words import number
-from eval.figures import kinds
-from eval.figures import style as house
+from eval.figures import kinds, style as house
 from eval.figures.error import heading_of, longest_sigma, panels, sigmas, thinned, ticks, time_axis
 from eval.referee.consistency import anees_band, mean_or_nan, nees, nis_bounds
 from eval.referee.given.runs import log_of

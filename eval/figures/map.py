@@ -19,8 +19,7 @@ from data.pose_measurements import FixKind
 from data.result import MapEstimate, Run
 from data.se2 import Array, dead_reckoned
 from data.terminal import counted
-from eval.figures import kinds, plane
-from eval.figures import style as house
+from eval.figures import kinds, plane, style as house
 from eval.referee.ambiguity import ambiguous
 from eval.referee.given.runs import is_truth_alone
 from eval.referee.score import Trial

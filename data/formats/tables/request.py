@@ -23,11 +23,10 @@ from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.messages import file_and_word
 from data.formats.recordings.laser import TravelNoise
 from data.formats.results.reading import words_of
-from data.formats.tables import files as table_files
+from data.formats.tables import files as table_files, motion
 from data.formats.tables.files import POSE, ROLES, SCANS, SECOND, STAMPED, STARRED, Columns, Given, TextTable, Units
 from data.formats.tables.layout import by_layout, landmarks_in_rows, seen_by_layout
 from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of, path_of
-from data.formats.tables.motion import STAMPED as STAMPED_KINDS
 from data.formats.tables.scans import BEAMS
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise
 from data.origin import Origin, Origins
@@ -425,7 +424,7 @@ def settle(given: Given) -> Wanted:
             told = f"as {name} is a speed (in rad/s --metres-per-tick is the wheel's radius)"
             columns.notes.append(f"inferred: --ticks rate --metres-per-tick {given['metres-per-tick']}, {told}")
     for flag in ("hold", "integrate"):
-        if flag in given and kind not in STAMPED_KINDS and (flag, given.get("ticks")) != ("hold", "rate"):
+        if flag in given and kind not in motion.STAMPED and (flag, given.get("ticks")) != ("hold", "rate"):
             raise UsageError(f"--{flag} {given[flag]}: for velocities; the odometry has {kind}")
     second, starts = _second(given, texts, columns), "truth" in files and "prior" not in given
     if starts or ("prior" in given and "prior-sigma" not in given):
@@ -553,7 +552,7 @@ def _second(given: Given, texts: Mapping[str, TextTable], columns: Columns) -> S
 def _noise(given: Given, kind: str, notes: list[str], of: str = "odometry") -> Noises:
     """Odometry noise, by the kind of odometry, in flags that begin with `of`; a note where it is assumed."""
     stated = f"{of}-sigma"
-    velocities = kind in STAMPED_KINDS
+    velocities = kind in motion.STAMPED
     default = "density" if velocities else "travel"
     known = ("density", "velocity", "displacement", "textbook") if velocities else ("travel", "step")
     model = str(given.get(f"{of}-noise", default))
