@@ -531,9 +531,7 @@ def _motions(c: Case, span: int) -> tuple[Array, ...] | None:
     return (true - odometry)[fine, :2], size[fine], variance[fine, :2]
 
 
-def _share(
-    off: Array, changed: Array, variance: Array, aside: Array | None = None
-) -> tuple[float, float, float, float]:
+def _share(off: Array, moved: Array, variance: Array, aside: Array | None = None) -> tuple[float, float, float, float]:
     """How much of what a reading changes in differences (n, 2) is there, what it gains in log-likelihood, and squares
     of the differences as stated and left, along what it changes.
 
@@ -541,7 +539,7 @@ def _share(
     (n, 2, q), the effects of other errors.
     """
     sigma = np.sqrt(np.maximum(variance, TINY**2))
-    off, e = off / sigma, (off - changed) / sigma
+    off, e = off / sigma, (off - moved) / sigma
     square = np.sum(off**2, axis=1)
     rows = e.any(axis=1) & (square < FAR * max(1.0, float(np.median(square)) / math.log(4.0)))
     off, e = off[rows], e[rows]

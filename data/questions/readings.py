@@ -72,10 +72,8 @@ class Reading:
 PARTS: Mapping[str, Part] = {
     **dict.fromkeys(("v", "omega", "v and omega", "bearing and omega", Part.ODOMETRY), Part.ODOMETRY),
     **dict.fromkeys((Part.MAP, "map.x", "map.y", "x and y of the map"), Part.MAP),
-    **dict.fromkeys(
-        (Part.TRUTH, "truth and map", "point of the truth", "truth.x", "truth.y", "truth.theta"), Part.TRUTH
-    ),
-    **dict.fromkeys(("x and y of the truth", "truth's mirror"), Part.TRUTH),
+    **dict.fromkeys((Part.TRUTH, "point of the truth", "truth.x", "truth.y", "truth.theta"), Part.TRUTH),
+    **dict.fromkeys(("truth and map", "x and y of the truth", "truth's mirror"), Part.TRUTH),
 }
 HEARD = {
     Part.ODOMETRY: (witnesses.BY_TRUTH, "observations and odometry", "observations and map"),

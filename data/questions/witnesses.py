@@ -344,9 +344,7 @@ def observations_and_map(c: Case, s: Samples) -> list[Fit | None]:
     local = transform_points(between(pose[rows[begin]][group], pose[rows]), c.points(rows, pose[rows, 2]))
     count = np.diff(np.append(begin, len(rows)))[:, None]
     x, y = (p - (np.add.reduceat(p, begin) / count)[group] for p in (local, place))
-    turn = np.arctan2(
-        *(np.add.reduceat(v, begin) for v in (x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0], np.sum(x * y, axis=1)))
-    )
+    turn = np.arctan2(*(np.add.reduceat(v, begin) for v in (x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0], np.sum(x * y, 1))))
     size = 0.5 * (np.hypot(*x.T) + np.hypot(*y.T))
     return [*found, fit_of(rotated(turn[group], x) - y, size, _of_noise(c, rows))]
 

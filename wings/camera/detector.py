@@ -125,15 +125,13 @@ def _distinct(nearest: Array, second: NDArray[Any]) -> BoolArray:
 
 def guided_match(H: Array, reference: Features, scene: Features) -> tuple[Indices, Indices]:
     """Pairs (picture, scene) of features near their place by `H`, of similar scale and descriptor; mutual nearest."""
-    place, stretch = project(H, reference.place), magnification(H, reference.place)
-    low, high = place.min(axis=0) - GUIDED_RADIUS, place.max(axis=0) + GUIDED_RADIUS
+    at, stretch = project(H, reference.place), magnification(H, reference.place)
+    low, high = at.min(axis=0) - GUIDED_RADIUS, at.max(axis=0) + GUIDED_RADIUS
     near = np.flatnonzero(np.all((scene.place >= low) & (scene.place <= high), axis=1))
-    off_x, off_y = (np.abs(place[:, k : k + 1] - scene.place[near, k]) for k in (0, 1))
+    off_x, off_y = (np.abs(at[:, k : k + 1] - scene.place[near, k]) for k in (0, 1))
     i, j = np.nonzero((off_x < GUIDED_RADIUS) & (off_y < GUIDED_RADIUS))
     ratio = scene.scale[near[j]] / (stretch * reference.scale)[i]
-    close = (
-        (np.linalg.norm(place[i] - scene.place[near[j]], axis=1) < GUIDED_RADIUS) & (ratio > 0.6) & (ratio < 1 / 0.6)
-    )
+    close = (np.linalg.norm(at[i] - scene.place[near[j]], axis=1) < GUIDED_RADIUS) & (ratio > 0.6) & (ratio < 1 / 0.6)
     i, j = i[close], j[close]
     if not len(i):
         return i, j

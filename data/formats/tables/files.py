@@ -581,9 +581,7 @@ PARTS = {
     "truth": TRUE | REFERENCE | {"ground", "vicon", "mocap", "optitrack", "actual"},
 }  # fmt: skip
 """Words in the name of a column, in the singular, that tell the part it is of."""
-COMMANDED = frozenset(
-    ("cmd", "command", "commanded", "control", "input")
-)  # Of speeds that are measured, too, not taken
+COMMANDED = frozenset(("cmd", "command", "commanded", "control", "input"))  # Beside measured speeds not taken
 
 
 @cache
@@ -806,10 +804,8 @@ class Columns:
             known = self.words
             for word in words:
                 known.setdefault(word, len(known))
-        shown = ", ".join(f"{word} is {known[word]}" for word in words[:NAMED])
-        self.notes.append(
-            f"{file.path.name}: landmarks of {file.names[column]}: {shown}{', ...' * (len(words) > NAMED)}"
-        )
+        ids = ", ".join(f"{word} is {known[word]}" for word in words[:NAMED])
+        self.notes.append(f"{file.path.name}: landmarks of {file.names[column]}: {ids}{', ...' * (len(words) > NAMED)}")
         return np.array([float(known.get(text, np.nan)) for text in texts])
 
     def turned(self, file: TextTable, role: str, time: Array, pose: Array) -> Array:

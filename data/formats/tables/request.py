@@ -92,11 +92,9 @@ def numbers_of(given: Mapping[str, object], flag: str) -> Array | None:
     return None if given.get(flag) is None else _numbers(given, flag, dimensions, what, zero)
 
 
-def _numbers(
-    given: Mapping[str, object], flag: str, dimensions: Sequence[str], what: str, zero: bool | None = None
-) -> Array:
+def _numbers(given: Mapping[str, object], flag: str, dims: Sequence[str], what: str, zero: bool | None = None) -> Array:
     """The numbers of a flag, lengths without a unit in that of `--unit length`."""
-    return table_files.numbers(given[flag], dimensions, flag, what, zero=zero, length=str(given.get(LENGTH, "")))
+    return table_files.numbers(given[flag], dims, flag, what, zero=zero, length=str(given.get(LENGTH, "")))
 
 
 def by_sensor(value: object, flag: str) -> dict[str, str]:

@@ -240,12 +240,10 @@ def latency_table(titles: Sequence[str], spent: Sequence[Latencies], period: flo
     return lines
 
 
-def status_line(
-    t: float, estimators: Sequence[str], faults: Mapping[str, int], latencies: Latencies, period: float
-) -> str:
+def status_line(t: float, names: Sequence[str], faults: Mapping[str, int], latencies: Latencies, period: float) -> str:
     """The status; `period` [s]: real time between frames, beyond which an estimate is late."""
     counted = ", ".join(f"{name} {count}" for name, count in faults.items() if count)
-    parts = [f"{t:7.1f} s", *estimators, f"link: {counted or 'no faults'}"]
+    parts = [f"{t:7.1f} s", *names, f"link: {counted or 'no faults'}"]
     soon = latencies.within(0.99)
     if math.isfinite(soon):
         parts.append(f"latency {1e3 * latencies.longest:.1f} ms, 99 % < {1e3 * soon:.1f} ms")
