@@ -533,10 +533,8 @@ def _motions(c: Case, span: int) -> tuple[Array, ...] | None:
 
 def _share(off: Array, moved: Array, variance: Array, aside: Array | None = None) -> tuple[float, float, float, float]:
     """How much of what a reading changes in differences (n, 2) is there, what it gains in log-likelihood, and squares
-    of the differences as stated and left, along what it changes.
-
-    A misstated noise is estimated along: likelihoods are those of the noise that fits best; so is what is `aside`
-    (n, 2, q), the effects of other errors.
+    of the differences as stated and left, along what it changes. A misstated noise is estimated along: likelihoods are
+    those of the noise that fits best; so is what is `aside` (n, 2, q), the effects of other errors.
     """
     sigma = np.sqrt(np.maximum(variance, TINY**2))
     off, e = off / sigma, (off - moved) / sigma

@@ -28,10 +28,8 @@ _CHOICES = {"heading_noise": ("after", "before"), "speed_noise": ("start", "end"
 
 @dataclass(frozen=True)
 class Circle:
-    """Parameters of the world. UsageError for an invalid value.
-
-    Published filters differ in `heading_noise` and `speed_noise`, which change the stated covariance of the increments,
-    not the measurements.
+    """Parameters of the world. UsageError for an invalid value. Published filters differ in `heading_noise` and
+    `speed_noise`, which change the stated covariance of the increments, not the measurements.
     """
 
     frames: int = told(2500, "number of frames; nothing is observed in the first")

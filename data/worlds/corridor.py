@@ -155,10 +155,8 @@ class Corridor(parameters.Imperfect):
 
 
 def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
-    """One log of the corridor, reproducible to the byte. True path and points never change.
-
-    Observations of a frame are ordered by landmark id (1 to 88), then people (true id -1). Frames have no stamps; the
-    prior is exact.
+    """One log of the corridor, reproducible to the byte. True path and points never change. Observations of a frame are
+    ordered by landmark id (1 to 88), then people (true id -1). Frames have no stamps; the prior is exact.
     """
     odometry_rng, sensor_rng, walk_rng, people_rng = parameters.streams(seed, 4)
     truth, turned = path(corridor.frames)
