@@ -64,8 +64,7 @@ COMMANDS = {
     "datasets": ("eval.datasets:main", "list public data sets: page, licence, digest, command"),
     "benchmark": ("eval.benchmark:main", "time the estimators beside their peers"),
     "warm": ("eval.warm:main", "compile all kernels into the cache"),
-}
-"""Module and function of each subcommand of the core, and what it does."""
+}  # Module and function of each subcommand of the core, and what it does
 FIRST = """\
 slamref scores EKF and smoother estimates of one robot log, and their data associations.
   slamref run arena:0      a simulated log: table on the terminal, report in results/report

@@ -103,9 +103,7 @@ OF_OTHERS = dict.fromkeys(("--exclude-truth", "--keep-truth"), ("slamref run", "
 
 
 class Command(Parser):
-    """The parser of a command `prog`, which replaces `module` in the examples; `description` and `examples` are the
-    beginning and the end of `--help`.
-    """
+    """The parser of `prog`, named so in `examples` instead of `module`; `description` begins `--help`, they end it."""
 
     def __init__(self, prog: str, module: str, description: str, examples: str = "", **options: Any) -> None:
         super().__init__(prog=prog, description=description, epilog=examples.replace(module, prog), **options)

@@ -195,9 +195,7 @@ def cut_off(fields: int, needed: int, *, last: bool) -> str:
 
 
 def ends_early(fields: Iterable[int], needed: int, read: int) -> set[int]:
-    """Numbers of fields of rows that end before the header, behind the columns to read. Several rows have each: a
-    single one may lack a field between others.
-    """
+    """Numbers of fields of rows that end before the header, behind the columns to read, if several rows have each."""
     return {n for n, count in Counter(fields).items() if read <= n < needed and count > 1}
 
 

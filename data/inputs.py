@@ -14,8 +14,7 @@ import numpy as np
 
 from data.appearance import Appearance
 from data.compiled import njit
-from data.locked import IntArray as IntArray
-from data.locked import Locked, read_only
+from data.locked import IntArray as IntArray, Locked, read_only
 from data.pose_measurements import Closures, Fixes
 from data.se2 import Array, BoolArray, inverse
 from data.sensors import EachSensor, Sensor

@@ -29,34 +29,21 @@ T = TypeVar("T", bound=NDArray[Any])
 class Log:
     """One log. `recorded` holds all that an estimator may be given; use `inputs()` to get it.
 
-    Attributes:
-        name: unique in a run; names its folder in the results.
-        recorded: inputs without labels.
-        truth: the referee's reference.
-        label: (M,) the sensor's label of each observation; None: the true ids are the labels.
-        labels_are_sensed: the labels come from the sensor (e.g. barcodes), so granting them grants no truth, and
-            pairings by them are gated by default.
-        source: provenance; free keys.
-        origins: where noise, prior and so on come from, unless the recording states them.
-        notes: what a reader should know (spans skipped, observations dropped), one sentence each.
-        evidence: of a log made from images, its detections.
-        asked: questions to its author that only the recording raises (`data.questions.asked` has the others).
-
     Example:
         >>> print(log)
         >>> log.truth.pose.shape  # (N, 3)
     """
 
-    name: str
-    recorded: Inputs
-    truth: Truth
-    label: IntArray | None = None
-    labels_are_sensed: bool = False
-    source: Mapping[str, object] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    evidence: Evidence | None = None
-    asked: tuple[Notice, ...] = ()
-    origins: Origins = field(default_factory=dict)
+    name: str  # unique in a run; names its folder in the results
+    recorded: Inputs  # inputs without labels
+    truth: Truth  # the referee's reference
+    label: IntArray | None = None  # (M,) the sensor's label of each observation; None: the true ids are the labels
+    labels_are_sensed: bool = False  # they are read (e.g. barcodes): granting them grants no truth; gated by default
+    source: Mapping[str, object] = field(default_factory=dict)  # provenance; free keys
+    notes: tuple[str, ...] = ()  # what a reader should know (spans skipped, observations dropped), one sentence each
+    evidence: Evidence | None = None  # of a log made from images, its detections
+    asked: tuple[Notice, ...] = ()  # questions that only the recording raises (`data.questions.asked` has the others)
+    origins: Origins = field(default_factory=dict)  # of noise, prior and so on, unless the recording states them
 
     @property
     def assumed_noise(self) -> tuple[str, ...]:

@@ -151,10 +151,8 @@ def _with_header(path: Path, relations: Path | None = None) -> Log:
 
 
 def find_logs(folder: Path, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
-    """Loaders of every dataset in a folder, two levels deep: open logs, MRCLAM datasets (each robot), and
-    recordings of wings, such as CARMEN logs.
-
-    `say` reports what is skipped. Nothing is loaded before a loader is called.
+    """Loaders of every dataset in a folder, two levels deep: open logs, MRCLAM datasets (each robot), and recordings of
+    wings, such as CARMEN logs. `say` reports what is skipped. Nothing is loaded before a loader is called.
     """
     if not folder.is_dir():
         raise UsageError(f"--data {folder}: no such folder")

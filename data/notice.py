@@ -161,24 +161,18 @@ class Code(StrEnum):
 class Notice:
     """A finding about a log or a run: code, values, and what it concerns.
 
-    Attributes:
-        code: kind of finding.
-        values: pairs of name and value, sorted by name (`named`: as a mapping).
-        log, task, estimator, association: names; blank: not specific.
-        frame: first frame concerned; None: not specific.
-
     Example:
         >>> [n.code for n in slamref.notices([trial]) if n.severity != "info"]
         >>> slamref.sentence(slamref.notices([trial])[0])  # in words
     """
 
-    code: Code
-    values: tuple[tuple[str, Value], ...] = ()
-    log: str = ""
+    code: Code  # kind of finding
+    values: tuple[tuple[str, Value], ...] = ()  # pairs of name and value, sorted by name (`named`: as a mapping)
+    log: str = ""  # name, as of the next three; blank: not specific
     task: str = ""
     estimator: str = ""
     association: str = ""
-    frame: int | None = None
+    frame: int | None = None  # first frame concerned; None: not specific
 
     @property
     def severity(self) -> Severity:

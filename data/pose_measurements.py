@@ -145,8 +145,7 @@ def expected_closure(pose1: Array, pose2: Array) -> tuple[Array, Array, Array]:
     return z_hat, H1, np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-Expected = Callable[[Array], tuple[Array, Array]]
-"""Expected measurement (d,) of the poses (q,), and its Jacobian (d, q)."""
+Expected = Callable[[Array], tuple[Array, Array]]  # Expected measurement (d,) of poses (q,), and its Jacobian (d, q)
 
 
 class GaussianMeasurement(NamedTuple):

@@ -174,75 +174,41 @@ CHI_SQUARE = (1.0, 2.0)  # Mean and variance per degree of freedom of ungated in
 
 @dataclass(frozen=True, eq=False)
 class Run(Locked):
-    """One estimator over one log.
+    """One estimator over one log."""
 
-    Attributes:
-        estimator, association, task: names as in the result files.
-        online: estimates at each instant (None for a batch smoother).
-        final: after all data (None for a filter).
-        map: the last map; in localization that of an uncertain map as estimated, in an exact one None.
-        decisions: (M,) landmark number, `NEW` or `DISCARD`, as made online.
-        final_decisions: (M,) after all revisions.
-        created: (M,) number of the landmark an observation initialized, -1 for none.
-        innovations: per-frame statistics (None: not formed).
-        total_nis: (sum of NIS, degrees of freedom) over the run, or None; a smoother's is the minimum of its cost,
-            which equals it for linear models.
-        gated: mean and variance, per degree of freedom, of the squared innovations that the association's gates let
-            pass for a consistent filter; (1, 2) without gates.
-        state_size: (N,) length of the state vector after each frame (None for a batch smoother).
-        seconds: wall time of the estimation alone.
-        failure: None if it finished; its arrays are then complete.
-        notes: notices for readers of its results.
-        removed: (L,) by landmark number, frame after which it was removed from the map, -1: never (None: none was). The
-            observations of a retracted landmark are discarded in `final_decisions`.
-        events: revised decisions, in the order of revision.
-        iterations: of a smoother's last optimization, over all phases (None: none).
-        last_step_sigma: largest component of the last Newton step, in standard deviations; near 0 at an optimum.
-        implausible: it finished, but with a physically impossible value: from which frame, and why.
-        errors_online, errors_final: systematic errors by frame, online and after all data (None: not estimated).
-        watched: record of an observer of the replay; no part of the result.
-        walls: landmarks are walls (rho, alpha) instead of points.
-        begun: (M,) as `created`, by the final decisions, where these changed it (else None).
-        gated_final: as `gated`, of the final decisions, where all were revised (else None).
-        left: (l,) numbers of landmarks in the map that left the world before the end (None: not known).
-        fixes, closures: what became of the log's fixes and closures online (None: it has none, or they were not used).
-        fixes_final, closures_final: the same after all data, where that differs (`gnc`, or a smoother's residuals).
-    """
-
-    estimator: str
+    estimator: str  # as in the result files, like the next two
     association: str
     task: str
-    online: Trajectory | None
-    final: Trajectory | None
-    map: MapEstimate | None
-    decisions: IntArray
-    final_decisions: IntArray
-    created: IntArray
-    innovations: Innovations | None = None
-    total_nis: tuple[float, int] | None = None
-    state_size: IntArray | None = None
-    seconds: float = float("nan")
-    failure: Failure | None = None
-    notes: tuple[Notice, ...] = ()
-    removed: IntArray | None = None
-    events: tuple[Event, ...] = ()
-    gated: tuple[float, float] = CHI_SQUARE
-    iterations: int | None = None
-    last_step_sigma: float | None = None
-    implausible: Failure | None = None
-    errors_online: Systematics | None = None
-    errors_final: Systematics | None = None
-    watched: object | None = None
-    walls: bool = False
-    begun: IntArray | None = None
-    gated_final: tuple[float, float] | None = None
-    left: IntArray | None = None
-    fixes: PoseUpdated | None = None
-    closures: PoseUpdated | None = None
-    fixes_final: PoseUpdated | None = None
+    online: Trajectory | None  # estimates at each instant (None for a batch smoother)
+    final: Trajectory | None  # after all data (None for a filter)
+    map: MapEstimate | None  # the last map; in localization that of an uncertain map as estimated, in an exact one None
+    decisions: IntArray  # (M,) landmark number, `NEW` or `DISCARD`, as made online
+    final_decisions: IntArray  # (M,) after all revisions; observations of a retracted landmark are discarded
+    created: IntArray  # (M,) number of the landmark an observation initialized, -1 for none
+    innovations: Innovations | None = None  # per-frame statistics (None: not formed)
+    total_nis: tuple[float, int] | None = None  # sum, dof; of a smoother: its least cost, equal in linear models
+    state_size: IntArray | None = None  # (N,) length of the state vector after each frame (None for a batch smoother)
+    seconds: float = float("nan")  # wall time of the estimation alone
+    failure: Failure | None = None  # None if it finished; its arrays are then complete
+    notes: tuple[Notice, ...] = ()  # notices for readers of its results
+    removed: IntArray | None = None  # (L,) by landmark number, last frame in the map, -1: not removed (None: none was)
+    events: tuple[Event, ...] = ()  # revised decisions, in the order of revision
+    gated: tuple[float, float] = CHI_SQUARE  # mean and variance per degree of freedom of what the gates let pass
+    iterations: int | None = None  # of a smoother's last optimization, over all phases (None: none)
+    last_step_sigma: float | None = None  # largest component of the last Newton step, in sigmas; near 0 at an optimum
+    implausible: Failure | None = None  # it finished, but with a physically impossible value: from which frame, and why
+    errors_online: Systematics | None = None  # systematic errors by frame (None: not estimated)
+    errors_final: Systematics | None = None  # the same after all data
+    watched: object | None = None  # record of an observer of the replay; no part of the result
+    walls: bool = False  # landmarks are walls (rho, alpha) instead of points
+    begun: IntArray | None = None  # (M,) as `created`, by the final decisions, where these changed it (else None)
+    gated_final: tuple[float, float] | None = None  # as `gated`, of the final decisions, where all were revised
+    left: IntArray | None = None  # (l,) numbers of landmarks in the map that left the world earlier (None: not known)
+    fixes: PoseUpdated | None = None  # what became of the log's fixes online (None: it has none, or they were not used)
+    closures: PoseUpdated | None = None  # and of its closures
+    fixes_final: PoseUpdated | None = None  # after all data, where that differs (`gnc`, or a smoother's residuals)
     closures_final: PoseUpdated | None = None
-    handed_in: ClassVar[bool] = False
-    """Whether it is another program's result."""
+    handed_in: ClassVar[bool] = False  # Whether it is another program's result
 
     @property
     def decides(self) -> bool:

@@ -83,11 +83,9 @@ def pose_error(estimate: Array, truth: Array) -> Array:
 
 def transform_points(T_wb: Array, points_b: Array) -> Array:
     """Points (..., 2) of frame b in w, for one pose (3,) or a pose per point."""
-    pose, p = np.asarray(T_wb, float), np.asarray(points_b, float)
-    c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
-    return np.stack(
-        [pose[..., 0] + c * p[..., 0] - s * p[..., 1], pose[..., 1] + s * p[..., 0] + c * p[..., 1]], axis=-1
-    )
+    at, p = np.asarray(T_wb, float), np.asarray(points_b, float)
+    c, s = np.cos(at[..., 2]), np.sin(at[..., 2])
+    return np.stack([at[..., 0] + c * p[..., 0] - s * p[..., 1], at[..., 1] + s * p[..., 0] + c * p[..., 1]], axis=-1)
 
 
 def rigid_fit(body: Array, world: Array) -> Array:

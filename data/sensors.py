@@ -214,29 +214,20 @@ def _pair(pose: Array, other: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Sensor:
-    """A sensor of landmarks; use `RangeBearing`, `RelativePoint`, `Bearing`, `Range` or `Line`.
+    """A sensor of landmarks; use `RangeBearing`, `RelativePoint`, `Bearing`, `Range` or `Line`."""
 
-    Attributes:
-        max_range: m; min_angle, max_angle: rad in the sensor frame. Observations outside this field of view are kept
-            and counted.
-        rotation: rad, translation: m, of p_sensor = R(rotation) p_body + translation.
-        label: name among several sensors of a log.
-        sees: kind of landmark that it observes; blank: all.
-    """
-
-    max_range: float = math.inf
-    min_angle: float = -math.pi
+    max_range: float = math.inf  # m; observations outside the field of view are kept and counted
+    min_angle: float = -math.pi  # rad in the sensor frame, as the next
     max_angle: float = math.pi
-    rotation: float = 0.0
-    translation: tuple[float, float] = (0.0, 0.0)
-    label: str = field(default="", repr=False)
-    sees: str = field(default="", repr=False)
+    rotation: float = 0.0  # rad, of p_sensor = R(rotation) p_body + translation
+    translation: tuple[float, float] = (0.0, 0.0)  # m
+    label: str = field(default="", repr=False)  # name among several sensors of a log
+    sees: str = field(default="", repr=False)  # kind of landmark that it observes; blank: all
 
     kind: ClassVar[int]
     name: ClassVar[str]
     units: ClassVar[tuple[str, str]]
-    sees_points: ClassVar[bool] = True
-    """Whether landmarks are points (x, y); else walls (rho, alpha)."""
+    sees_points: ClassVar[bool] = True  # Whether landmarks are points (x, y); else walls (rho, alpha)
     errors: ClassVar[tuple[str, ...]] = ("range", "bearing")
     """Systematic errors of the sensor (`data.inputs.ERRORS`) that can be estimated."""
     measures: ClassVar[tuple[int, ...]] = (0, 1)  # Which of the two numbers are measured

@@ -39,9 +39,7 @@ class TomlTable:
     """One table of a file; its methods return a checked value or raise."""
 
     def __init__(self, fault: Fault, table: Mapping[str, object], known: Known, where: str = "") -> None:
-        """`known`: keys by table name (dotted, "" for the top); a table not in `known` may have any keys. `where` names
-        this table. Raises for an unknown key.
-        """
+        """`known`: keys by dotted table, else any; `where` names this table. Raises for an unknown key."""
         self.fault, self.table, self.known, self.where = fault, table, known, where
         keys = known.get(where, table)
         for key in table:

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from jinja2 import Environment
     from jinja2.bccache import Bucket
 
-NOTICES = "notices.j2"
-"""A macro for each `Code`, with underscores for dashes; its arguments are the notice, and its values by name."""
+NOTICES = "notices.j2"  # A macro for each `Code`, with underscores for dashes, of the notice and its values by name
 
 
 @cache

@@ -42,10 +42,8 @@ def absorb(
 ) -> tuple[int, float]:  # fmt: skip
     """Update `d` states with one measurement of the states `at` (q,), if it is inside the gate. Its NIS, innovation and
     covariance, of the first linearization, are written to a row of `done`; returns a status, and log det of that
-    covariance.
-
-    `linearized` (q,): where to take the Jacobian; None: at the mean. As `ekf.updates.correct`: P -= W W', which stays
-    symmetric to the bit.
+    covariance. `linearized` (q,): where to take the Jacobian; None: at the mean. As `ekf.updates.correct`: P -= W W',
+    which stays symmetric to the bit.
     """
     (_, measure, R, _), prior, rows = measured, mean[at], P[at, :d]
     _, H, L, white = _innovation(measure, prior, prior, prior if linearized is None else linearized, rows[:, at], R)

@@ -46,8 +46,7 @@ from ekf.whole_run import run_filter
 from eval.referee.consistency import correlated, lag1_correlation, mean_or_nan, nees, nis_bounds
 from eval.referee.errors import heading_rmse_deg, position_distance, rms
 
-HALF_WIDTH = 0.3
-"""s; time either side of an instant for its velocity: many samples, and short against a robot's manoeuvres."""
+HALF_WIDTH = 0.3  # s either side of an instant for its velocity: many samples, and short against a robot's manoeuvres
 SAMPLES = 3  # least number of odometry samples either side for a velocity
 
 
@@ -286,19 +285,15 @@ def score(inputs: Inputs, decisions: IntArray, begin: int = 0) -> Score:
 
 
 Objective = Callable[[Array], float]
-FACTORS = np.log([1 / 16, 1 / 4, 1.0, 4.0, 16.0])
-"""Factors of the sigmas of motion and of observations; all combinations are tried."""
+FACTORS = np.log([1 / 16, 1 / 4, 1.0, 4.0, 16.0])  # Of the sigmas of motion and observations; all pairs are tried
 LATENCIES = np.linspace(-1.0, 1.0, 41)  # s; 0.05 s apart, less than robots take to change speed
 FITTED, HELD, AT_BOUND = "fitted", "not determined", "at its bound"
-HOPELESS = 1e6
-"""Added to the objective as stated where the filter fails: worse than any likelihood, and finite for the optimizer."""
+HOPELESS = 1e6  # Added to the objective where the filter fails: worse than any likelihood, finite for the optimizer
 ROUNDS = 60  # largest number of searches: each moves the cut or drops a parameter
 SETTLED = 1e-3  # gain of log-likelihood of a search below which it has arrived
 STEP = 1e-3  # of differences for the slope, in limits of standard errors; 10 times it for the curvature
 APART = 2.0  # standard errors either way for the slope of the score in the latency
-VAGUE = 2.0
-"""Standard error of a latency over that by curvature, above which it follows from the odometry's noise, not its motion.
-"""
+VAGUE = 2.0  # Standard error of a latency over that by curvature, above which it follows from noise, not motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -425,8 +420,7 @@ def _cost(model: Model, decisions: IntArray, frames: int | None) -> Callable[[Ar
     return cost
 
 
-TUNED = "tuned"
-"""Title of the scores and errors after the fit, and key of [source] in log.toml: the fitted values and their log."""
+TUNED = "tuned"  # Title of scores and errors after the fit, key of [source] in log.toml: fitted values and their log
 DOUBT = """\
 innovations stay correlated (lag-1 {:+.2f} ± {:.2f}, expected 0), so the sigmas, fitted as if they were white, are not \
 to be believed: NIS is right by construction, the covariance is not. Remove the cause first: a latency, a bias, slip \

@@ -102,9 +102,7 @@ class FixedLagSmoother(Isam2Smoother):
         return frames[frames >= self._oldest]
 
     def _marginalize_old(self, but: int = 0) -> None:
-        """Marginalize poses that are too old, with the copies of landmarks observed from them, once the newest joined;
-        `but` stay: the motion may be inflated.
-        """
+        """Marginalize old poses, with landmarks' copies observed there, but for `but`: the motion may be inflated."""
         now = self._time[-1]
         if self._end.anchor < self.frame:
             return

@@ -138,8 +138,7 @@ of a stiff path is crossed more easily while it is wide."""
 SEARCHES = (
     (gtsam.LevenbergMarquardtOptimizer, gtsam.LevenbergMarquardtParams()),
     (gtsam.DoglegOptimizer, gtsam.DoglegParams()),
-)
-"""Of gtsam, tried in turn where ours fails: short steps first, where the linearized problem predicts badly."""
+)  # Of gtsam, tried in turn where ours fails: short steps first, where the linearized problem predicts badly
 SUSPECT = 2.0  # cost per degree of freedom (its half the expectation) above which a minimum may be a wrong one
 ON_THE_ROBOT = 0.01  # m. A landmark estimated nearer to a pose that observed it has no well-defined bearing
 TINY = 1e-9  # m, rad. Replaces a sigma of zero when a step is measured in sigmas
@@ -318,13 +317,11 @@ def _smoothed(
     if not problem.known_map:
         xy = np.array([found.values.atPoint2(L(k)) for k in linearizer.numbers.tolist()]).reshape(-1, 2)
         state = MapState(linearizer.numbers, xy, covariance[n : n + len(xy), :2, :2])
-    path, state, systematic = _in_world(problem.motion, found, poses_of(found.values, n), covariance, state)
+    path, state, errors = _in_world(problem.motion, found, poses_of(found.values, n), covariance, state)
     if state is not None and problem.about is not None:
         state = MapState(state.number, *about_origin(state.xy, state.covariance, problem.about))
     effort = iterations, last_step, _suspect(found.error, problem), loss != "gaussian"
-    return Smoothed(
-        path, state, 2.0 * found.error, problem.dof, *effort, systematic, fixes, closures, residual_share=kept
-    )
+    return Smoothed(path, state, 2.0 * found.error, problem.dof, *effort, errors, fixes, closures, residual_share=kept)
 
 
 def _in_world(

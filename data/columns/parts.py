@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from data.columns import appearance as looks
-from data.columns import poses
+from data.columns import appearance as looks, poses
 from data.columns.header import FORMAT, HEADER, LATEST, Header, header_of
 from data.columns.named import COVARIANCE, UPPER, require_semidefinite, unused
 from data.columns.sensors import FIRST, NOISE, SENSOR, may_be_blank, observed
@@ -104,13 +103,11 @@ def parts_of(header: Header, tables: Mapping[str, Table]) -> Parts:
     seen, looking = looks.together([observations.appearance, None if known is None else known.appearance])
     if known is not None and looking is not None:
         known = replace(known, appearance=looking)
-    fixes = closures = fix_inlier = closure_inlier = None
+    fixes = closures = fix_inlier = loop_inlier = None
     if FIXES in tables:
         fixes, fix_inlier = poses.fixes_of(tables[FIXES], header.fixes, frames[FIXES][0])
     if CLOSURES in tables:
-        closures, closure_inlier = poses.closures_of(
-            tables[CLOSURES], header.closures, frames[CLOSURES], poses.ENDS[key]
-        )
+        closures, loop_inlier = poses.closures_of(tables[CLOSURES], header.closures, frames[CLOSURES], poses.ENDS[key])
     covariance, floored = floor_covariances(increments.covariance, header.covariance_floor)
     inputs = Inputs(
         prior=header.prior, time=time, increments=Increments(increments.mean, covariance),
@@ -122,7 +119,7 @@ def parts_of(header: Header, tables: Mapping[str, Table]) -> Parts:
     )  # fmt: skip
     truth = Truth(
         None if TRUTH not in tables else _truth(tables[TRUTH], time, key), known if landmarks is None else landmarks,
-        ids.get("true_id"), fix_inlier=fix_inlier, closure_inlier=closure_inlier,
+        ids.get("true_id"), fix_inlier=fix_inlier, closure_inlier=loop_inlier,
     )  # fmt: skip
     return Parts(inputs, truth, ids.get("label"), header.labels_are_sensed, tuple(notes))
 

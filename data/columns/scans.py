@@ -20,8 +20,7 @@ LARGE, DENSEST = 1 << 26, 100  # Bytes, and multiple of its compressed size, tha
 BROKEN = (
     *(ValueError, EOFError, KeyError, NotImplementedError, RuntimeError, zipfile.BadZipFile, zlib.error),
     *(SyntaxError, TypeError, tokenize.TokenError),
-)
-"""Errors of zipfile and NumPy for damaged bytes; the last three for an array's header."""
+)  # Errors of zipfile and NumPy for damaged bytes; the last three for an array's header
 
 
 def open_archive(path: Path, *, whole: bool) -> zipfile.ZipFile:

@@ -24,8 +24,7 @@ PICKLES = (".pkl", ".pickle", ".p")
 TEXTS, YAML = (".json", ".jsonl", ".ndjson"), (".yaml", ".yml")
 SUFFIXES = (".mat", ".npz", ".npy", ".h5", ".hdf5", *TEXTS, *PICKLES)
 MATRICES = ((4, 4), (3, 4))  # Shapes of poses in space
-WIDE = (12, 30)
-"""Most rows and fewest columns of a matrix whose rows are the columns of a table: a state at each of many instants."""
+WIDE = (12, 30)  # Most rows and fewest columns of a matrix whose rows are a table's columns: a state at many instants
 
 
 ELEMENT = "element"  # Name of the column of numbers of structs, from 0

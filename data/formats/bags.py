@@ -21,8 +21,7 @@ from data.columns.scans import with_returns
 from data.digest import source_file
 from data.earth import east_north_up
 from data.errors import DataError, UsageError, did_you_mean
-from data.formats.recordings import laser as lasers
-from data.formats.recordings import ros
+from data.formats.recordings import laser as lasers, ros
 from data.formats.recordings.beams import on_one_set
 from data.formats.recordings.laser import FLOOR, TravelNoise
 from data.formats.recordings.mending import AS_STATED, Mending, beam_angles, piled_up, require_metres
@@ -199,8 +198,7 @@ def listed(topics: Sequence[Topic]) -> str:
 ADD = 0  # Action of a marker that is there
 GEOMETRY = ("angle_min", "angle_max", "angle_increment", "range_min", "range_max")
 SHARED = ("range_min", "range_max")  # Numbers that are the same in every scan; angles may differ (rotating scanners)
-WIDEST = 1e6
-"""rad, angle of a beam that is none: beams are told apart by whole numbers of `data.formats.recordings.beams.ANGLE`."""
+WIDEST = 1e6  # rad, an angle of a beam that is none: beams are told apart by whole numbers of `beams.ANGLE`
 
 
 class Pose(NamedTuple):
@@ -406,8 +404,7 @@ def _id(value: Any) -> int:
 
 
 SIGMA = 0.01  # m, of a range, which messages do not state; small scanners state 1 to 3 cm
-MOST_BEYOND = 0.5
-"""Share of ranges beyond the stated maximum, in the unit of the ranges, from which on that is in another."""
+MOST_BEYOND = 0.5  # Share of ranges beyond the stated maximum, in the ranges' unit, from which on that is in another
 LONG = 1.0  # s; longer gaps of the odometry are counted
 SMALL = 1e-3  # Largest deviation of the tilt's cosine from 1 (2.6 degrees)
 ODOM_FRAME = "odom"
@@ -621,8 +618,7 @@ def second_closures(
     return closures, f"{topic.name} is a second odometry: closures between {pairs}; noise by {how}."
 
 
-EVERY = 1.0
-"""s between headings that are used: those of one second have one common error, of the magnetic field and the filter."""
+EVERY = 1.0  # s between headings that are used: those of a second have a common error, of magnetic field and filter
 LONGEST = 1e6  # s, longest log
 FIRST = (0.1, 0.1, 0.05)  # m, m, rad; standard deviations of the first true pose as the prior
 

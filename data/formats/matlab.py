@@ -32,8 +32,7 @@ WIDTHS_4 = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # bytes of a number of version 
 BROKEN = (
     *(ValueError, TypeError, KeyError, IndexError, AttributeError, RuntimeError, OverflowError, OSError),
     *(zlib.error, struct.error),
-)
-"""Errors of the readers for damaged bytes."""
+)  # Errors of the readers for damaged bytes
 INT32, UINT32, MATRIX, COMPRESSED = 5, 6, 14, 15
 TEXT = frozenset({1, 16})
 NUMBERS = frozenset({*range(1, 8), 9, 12, 13, *TEXT, 17, 18})  # Element types of text and numbers

@@ -30,9 +30,7 @@ def read_lines(path: Path) -> tuple[list[tuple[int, str]], str, str]:
 
 
 def _tidied(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], str]:
-    """Lines of rows without `sep=;`, titles above the names and the names once more, and what is said of titles; `//`
-    begins comments, words for nothing are NaN.
-    """
+    """Rows without `sep=;`, titles, repeated names and comments, and what titles say; words for nothing are NaN."""
     lines = [(i, re.sub(r"^\s*//", "#", re.sub(NOTHING, "nan", re.sub(ALONE, r"\1", line)))) for i, line in lines[:-1]
              if not re.fullmatch(r"sep=.\s*", line)] + lines[-1:]  # fmt: skip
     top = [pair for pair in lines[:LEADING] if pair[1].strip() and pair[1].lstrip()[0] not in "#%"]
@@ -215,9 +213,7 @@ def with_word(lines: list[tuple[int, str]], word: str) -> list[tuple[int, str]]:
 
 
 def _of_topic(lines: list[tuple[int, str]], topic: str) -> list[tuple[int, str]]:
-    """Of a table with topics as columns those of a topic, without its name, and the stamps of the table, in the rows
-    that have some; none without such columns.
-    """
+    """The columns of a topic, without its name, and stamps, of rows that have some; none without such columns."""
     filled = [(i, line) for i, line in lines if line.strip()]
     separator = next((s for s in ",;\t" if filled and s in filled[0][1]), ",")
     rows = [[f.strip() for f in row] for row in csv.reader((line for _, line in filled), delimiter=separator)]

@@ -182,17 +182,15 @@ def open_files(source: Path) -> Files:
         top = source if source.is_dir() else zipfile.Path(open_archive(source, whole=True))
         folders = [top, *sorted((p for p in top.iterdir() if p.is_dir()), key=lambda p: p.name)]
         its = ((f, Files(f.name, f, {}).names) for f in folders)
-        homes = [f for f, names in its if names & {BARCODES, LANDMARKS} or any(map(ROBOT_FILE.fullmatch, names))]
+        dirs = [f for f, names in its if names & {BARCODES, LANDMARKS} or any(map(ROBOT_FILE.fullmatch, names))]
     except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as error:
         what = f"cannot be read: {error}" if source.is_dir() else f"not a readable zip file or folder: {error}"
         raise DataError.at(source, what) from None
-    if not homes:
+    if not dirs:
         raise DataError.at(source / BARCODES, "no such file, nor any other MRCLAM file, here or one folder below")
-    if len(homes) > 1 and homes[0] is not top:
-        raise DataError.at(
-            source, f"holds more than one dataset ({', '.join(f.name for f in homes)}); name one of them"
-        )
-    home = homes[0]
+    if len(dirs) > 1 and dirs[0] is not top:
+        raise DataError.at(source, f"holds more than one dataset ({', '.join(f.name for f in dirs)}); name one of them")
+    home = dirs[0]
     if isinstance(home, Path):
         return Files(home.resolve().name, home, {})
     return Files(source.stem if home is top else home.name, home, {source.name: file_sha256(source)})
@@ -324,8 +322,7 @@ def lay_out(
 
 SENSOR = RangeBearing(max_range=10.0, min_angle=-0.6, max_angle=0.6)
 """The camera; recordings have ranges up to 9.2 m and bearings up to 0.58 rad to either side."""
-CORRECTED = "Landmark_Groundtruth.corrected.dat"
-"""A corrected landmark file, for a dataset whose published file has rows exchanged."""
+CORRECTED = "Landmark_Groundtruth.corrected.dat"  # Corrected landmarks, for a dataset whose own has rows exchanged
 
 
 def robots(source: Path) -> list[int]:

@@ -10,9 +10,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import tomli_w
 
-from data.columns import appearance as looks
-from data.columns import parts, poses
-from data.columns import sensors as sensors_file
+from data.columns import appearance as looks, parts, poses, sensors as sensors_file
 from data.columns.header import FORMAT, HEADER, LATEST, Header, read_header
 from data.columns.named import COVARIANCE, UPPER, or_blank, require_semidefinite
 from data.columns.parts import CLOSURES, FIXES, FRAMES, LANDMARKS, OBSERVATIONS, ODOMETRY

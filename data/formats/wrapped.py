@@ -80,10 +80,8 @@ def _of_archive(path: Path, content: bytes, word: str) -> tuple[bytes, str]:
     sheets = [sheet for sheet in book.worksheets if sheet.title == word] or book.worksheets[:1]
     several = len(book.worksheets) > 1 and sheets[0].title != word
     said = f"sheet {sheets[0].title} of {len(book.worksheets)} (FILE:SHEET names another)\n" * several
-    rows = (
-        [v.isoformat() if hasattr(v, "isoformat") else v for v in row] for row in sheets[0].iter_rows(values_only=True)
-    )
-    table = [row for row in rows if any(v is not None for v in row)]
+    rows = ([v.isoformat() if hasattr(v, "isoformat") else v for v in r] for r in sheets[0].iter_rows(values_only=True))
+    table = [r for r in rows if any(v is not None for v in r)]
     return said.encode() + _csv(table[0] if table else (), table[1:]), "" if sheets[0].title == word else word
 
 

@@ -32,8 +32,7 @@ PRIORS = {
     "drift": Prior(0.005, 0.001, "a road's camber or a play of 0.3° in the steering; 0.06° of it"),
     "range": Prior(0.1, 0.02, "a sensor whose unit or temperature is wrong; a data sheet's 2 %"),
     "bearing": Prior(0.1, 0.02, "mounted by eye, to 6°; mounted on an edge, to 1°"),
-}
-"""By name, in the order of `data.inputs.ERRORS`. The drift has this size at any time, and a length of 50 m."""
+}  # By name, in the order of `data.inputs.ERRORS`. The drift has this size at any time, and a length of 50 m.
 AUTO = "auto"  # Instead of names: those that the log suggests, else all
 
 

@@ -325,9 +325,7 @@ def _over_noise(c: Case, s: Samples) -> float:
 
 
 def fastest(time: Array, turn: Array) -> float:
-    """The largest rate [rad/s] of turns (N - 1,) over seconds (or steps), without jumps by 2 pi; 0 if few seconds are
-    above `FASTEST`.
-    """
+    """The largest rate [rad/s] of turns (N - 1,) over seconds or steps, without jumps by 2 pi; 0: few are fast."""
     jumps = np.abs(np.abs(turn) - TURN) < 1.0
     if jumps.mean() < 1.0 / TURN:  # between jumps are as many steps, of less than 1 rad, as make a turn
         turn = np.where(jumps, 0.0, turn)
@@ -533,17 +531,13 @@ def _motions(c: Case, span: int) -> tuple[Array, ...] | None:
     return (true - odometry)[fine, :2], size[fine], variance[fine, :2]
 
 
-def _share(
-    off: Array, changed: Array, variance: Array, aside: Array | None = None
-) -> tuple[float, float, float, float]:
+def _share(off: Array, moved: Array, variance: Array, aside: Array | None = None) -> tuple[float, float, float, float]:
     """How much of what a reading changes in differences (n, 2) is there, what it gains in log-likelihood, and squares
-    of the differences as stated and left, along what it changes.
-
-    A misstated noise is estimated along: likelihoods are those of the noise that fits best; so is what is `aside`
-    (n, 2, q), the effects of other errors.
+    of the differences as stated and left, along what it changes. A misstated noise is estimated along: likelihoods are
+    those of the noise that fits best; so is what is `aside` (n, 2, q), the effects of other errors.
     """
     sigma = np.sqrt(np.maximum(variance, TINY**2))
-    off, e = off / sigma, (off - changed) / sigma
+    off, e = off / sigma, (off - moved) / sigma
     square = np.sum(off**2, axis=1)
     rows = e.any(axis=1) & (square < FAR * max(1.0, float(np.median(square)) / math.log(4.0)))
     off, e = off[rows], e[rows]
@@ -563,9 +557,7 @@ SURE = 3.0  # Sigmas from which on a step's turn is no noise
 
 
 def explanations(c: Case, *, whole: bool = True) -> list[Explained]:
-    """The readings that explain most what does not fit, equal ones together; none of a sound log. `whole`: of which
-    one half may be sound.
-    """
+    """The readings that explain most misfit, equal ones together, if any. `whole`: one half of it may be sound."""
     s = witnesses.samples(c)
     x = Examination(c, s)
     if minutes := _minutes(c):

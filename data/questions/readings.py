@@ -72,18 +72,15 @@ class Reading:
 PARTS: Mapping[str, Part] = {
     **dict.fromkeys(("v", "omega", "v and omega", "bearing and omega", Part.ODOMETRY), Part.ODOMETRY),
     **dict.fromkeys((Part.MAP, "map.x", "map.y", "x and y of the map"), Part.MAP),
-    **dict.fromkeys(
-        (Part.TRUTH, "truth and map", "point of the truth", "truth.x", "truth.y", "truth.theta"), Part.TRUTH
-    ),
-    **dict.fromkeys(("x and y of the truth", "truth's mirror"), Part.TRUTH),
+    **dict.fromkeys((Part.TRUTH, "point of the truth", "truth.x", "truth.y", "truth.theta"), Part.TRUTH),
+    **dict.fromkeys(("truth and map", "x and y of the truth", "truth's mirror"), Part.TRUTH),
 }
 HEARD = {
     Part.ODOMETRY: (witnesses.BY_TRUTH, "observations and odometry", "observations and map"),
     Part.OBSERVATIONS: ("observations and odometry", "observations and truth", "observations and map"),
     Part.MAP: ("observations and truth", "observations and map"),
     Part.TRUTH: (witnesses.BY_TRUTH, "observations and truth"),
-}
-"""Witnesses that speak of a part."""
+}  # Witnesses that speak of a part
 METRES = {unit: metres for unit, metres in LENGTH.items() if unit != "m"}
 SPEEDS = {"mm/s": 1e-3, "cm/s": 1e-2, "ft/s": 0.3048, "km/h": 1.0 / 3.6, "mph": 0.44704, "kn": 1852.0 / 3600.0}
 DEG = math.pi / 180.0

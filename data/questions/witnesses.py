@@ -29,9 +29,7 @@ WEIGHT = 100.0  # Largest number of independent differences of a witness; errors
 
 @dataclass(frozen=True)
 class Fit:
-    """How well two parts agree: RMS difference over the size of what is compared (2: none), the same of the stated
-    noise, and the number of differences.
-    """
+    """How well two parts agree: RMS difference per size of either (2: none), per noise, number of differences."""
 
     off: float
     noise: float
@@ -346,9 +344,7 @@ def observations_and_map(c: Case, s: Samples) -> list[Fit | None]:
     local = transform_points(between(pose[rows[begin]][group], pose[rows]), c.points(rows, pose[rows, 2]))
     count = np.diff(np.append(begin, len(rows)))[:, None]
     x, y = (p - (np.add.reduceat(p, begin) / count)[group] for p in (local, place))
-    turn = np.arctan2(
-        *(np.add.reduceat(v, begin) for v in (x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0], np.sum(x * y, axis=1)))
-    )
+    turn = np.arctan2(*(np.add.reduceat(v, begin) for v in (x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0], np.sum(x * y, 1))))
     size = 0.5 * (np.hypot(*x.T) + np.hypot(*y.T))
     return [*found, fit_of(rotated(turn[group], x) - y, size, _of_noise(c, rows))]
 

@@ -19,54 +19,37 @@ from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor
 from data.truth import Truth
 from data.worlds import parameters
+from data.worlds.parameters import told
 
 
 @dataclass(frozen=True)
 class Arena(parameters.Imperfect):
-    """Parameters of the world; with the defaults linearization errors are small.
+    """Parameters of the world; with the defaults linearization errors are small."""
 
-    Attributes:
-        landmarks: number of point landmarks, uniform in a square.
-        side: m, side of that square, centred on the loop.
-        frames: number of frames.
-        period: s between frames.
-        odometry_rate: Hz of the (v, omega) samples.
-        speed: m/s.
-        radius: m, of the loop the robot drives; its turn rate swings about speed / radius.
-        swing: rad/s, amplitude of that swing.
-        sigma_v: m per sqrt(s), sigma_omega: rad per sqrt(s), odometry noise densities.
-        sensor: `range_bearing` or `relative_point`.
-        sigma_range: m, sigma_bearing: rad, noise of the range-bearing sensor.
-        sigma_point: m, noise of each coordinate of the Cartesian sensor.
-        min_range, max_range: m; nothing nearer or farther is reported. field_of_view: rad, full opening angle.
-        prior_sigma: m, prior_sigma_heading: rad; the prior mean is drawn with them.
-        detection: probability that a landmark in view is reported.
-        clutter: mean number of false alarms per frame (Poisson), uniform over the field of view.
-        sigma_map: m, error of the map in x and y of each landmark, which the map states; 0: it is exact.
-    """
-
-    landmarks: int = 25
-    side: float = 24.0
-    frames: int = 200
-    period: float = 0.5
-    odometry_rate: float = 10.0
-    speed: float = 1.0
-    radius: float = 6.0
-    swing: float = 0.3
-    sigma_v: float = 0.05
-    sigma_omega: float = 0.02
-    sensor: str = "range_bearing"
-    sigma_range: float = 0.1
-    sigma_bearing: float = 0.02
-    sigma_point: float = 0.1
-    min_range: float = 0.5
-    max_range: float = 8.0
-    field_of_view: float = 2.0 * math.pi
-    prior_sigma: float = 0.1
-    prior_sigma_heading: float = 0.03
-    detection: float = 1.0
-    clutter: float = 0.0
-    sigma_map: float = 0.0
+    landmarks: int = told(25, "number of point landmarks, uniform in a square")
+    side: float = told(24.0, "m, side of that square, centred on the loop")
+    frames: int = told(200, "number of frames")
+    period: float = told(0.5, "s between frames")
+    odometry_rate: float = told(10.0, "Hz of the (v, omega) samples")
+    speed: float = told(1.0, "m/s")
+    radius: float = told(6.0, "m, of the loop the robot drives; its turn rate swings about speed / radius")
+    swing: float = told(0.3, "rad/s, amplitude of that swing")
+    sigma_v: float = told(0.05, "m per sqrt(s)")
+    sigma_omega: float = told(0.02, "rad per sqrt(s), odometry noise densities")
+    sensor: str = told("range_bearing", "range_bearing or relative_point")
+    sigma_range: float = told(0.1, "m")
+    sigma_bearing: float = told(0.02, "rad, noise of the range-bearing sensor")
+    sigma_point: float = told(0.1, "m, noise of each coordinate of the Cartesian sensor")
+    min_range: float = told(0.5, "m; nothing nearer or farther is reported")
+    max_range: float = told(8.0, "m; nothing nearer or farther is reported")
+    field_of_view: float = told(2.0 * math.pi, "rad, full opening angle")
+    prior_sigma: float = told(0.1, "m")
+    prior_sigma_heading: float = told(0.03, "rad; the prior mean is drawn with them")
+    detection: float = told(1.0, "probability that a landmark in view is reported")
+    clutter: float = told(0.0, "mean number of false alarms per frame (Poisson), uniform over the field of view")
+    sigma_map: float = told(
+        0.0, "m, error of the map in x and y of each landmark, which the map states; 0: it is exact"
+    )
 
     positive: ClassVar[tuple[str, ...]] = (
         *("landmarks", "frames", "side", "period", "odometry_rate", "radius", "max_range", "field_of_view"),

@@ -10,7 +10,7 @@ unseen landmarks, too, so noise, view or number of frames leave other draws alon
 """
 
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -21,54 +21,42 @@ from data.motion.velocity import floor_covariances
 from data.se2 import Array, wrap_angle
 from data.sensors import RelativePoint
 from data.truth import Truth
-from data.worlds.parameters import check_parameters, drawn_prior, streams
+from data.worlds.parameters import check_parameters, drawn_prior, streams, told
 
 _CHOICES = {"heading_noise": ("after", "before"), "speed_noise": ("start", "end")}
 
 
 @dataclass(frozen=True)
 class Circle:
-    """Parameters of the world. UsageError for an invalid value.
-
-    Published filters differ in `heading_noise` and `speed_noise`, which change the stated covariance of the increments,
-    not the measurements.
-
-    Attributes:
-        frames: number of frames; nothing is observed in the first.
-        period: s between frames.
-        speed: m/s, true speed.
-        turn_rate: rad/s, true turn rate; the path's radius is speed / turn_rate.
-        sigma_speed: m/s, noise of the measured speed of a step.
-        sigma_turn: rad/s, noise of the measured turn rate of a step.
-        sigma_point: m, noise of each coordinate of an observed point.
-        landmarks: number of landmarks, at equal angles on one circle.
-        ring: m, radius of the landmarks' circle minus that of the path.
-        centre_x, centre_y: m, centre of the landmarks.
-        min_range, max_range: m; landmarks are observed between these distances, both excluded.
-        prior_sigma: m and rad; the prior mean is drawn with it, 0 is an exact start.
-        heading_noise: `after`, a step's heading noise does not affect its translation (exact for this motion), or
-            `before`, it turns the translation, too.
-        speed_noise: the noise of the speed acts along the heading at the `start` or at the `end` of a step.
-        covariance_floor: smallest eigenvalue of an increment's covariance; 0 for none (filters only).
+    """Parameters of the world. UsageError for an invalid value. Published filters differ in `heading_noise` and
+    `speed_noise`, which change the stated covariance of the increments, not the measurements.
     """
 
-    frames: int = 2500
-    period: float = 1.0
-    speed: float = 0.25
-    turn_rate: float = math.radians(1.5)
-    sigma_speed: float = 0.05 * 0.25 / math.sqrt(2.0)
-    sigma_turn: float = 0.05 * 0.25 * math.sqrt(8.0)
-    sigma_point: float = 0.1
-    landmarks: int = 20
-    ring: float = 3.0
-    centre_x: float = 0.0
-    centre_y: float | None = field(default=None, metadata={"default": "speed / turn_rate, the centre of the path"})
-    min_range: float = 1.0
-    max_range: float = 5.0
-    prior_sigma: float = 0.0
-    heading_noise: str = "after"
-    speed_noise: str = "start"
-    covariance_floor: float = 1e-10
+    frames: int = told(2500, "number of frames; nothing is observed in the first")
+    period: float = told(1.0, "s between frames")
+    speed: float = told(0.25, "m/s, true speed")
+    turn_rate: float = told(math.radians(1.5), "rad/s, true turn rate; the path's radius is speed / turn_rate")
+    sigma_speed: float = told(0.05 * 0.25 / math.sqrt(2.0), "m/s, noise of the measured speed of a step")
+    sigma_turn: float = told(0.05 * 0.25 * math.sqrt(8.0), "rad/s, noise of the measured turn rate of a step")
+    sigma_point: float = told(0.1, "m, noise of each coordinate of an observed point")
+    landmarks: int = told(20, "number of landmarks, at equal angles on one circle")
+    ring: float = told(3.0, "m, radius of the landmarks' circle minus that of the path")
+    centre_x: float = told(0.0, "m, centre of the landmarks")
+    centre_y: float | None = told(
+        None, "m, centre of the landmarks", default="speed / turn_rate, the centre of the path"
+    )
+    min_range: float = told(1.0, "m; landmarks are observed between these distances, both excluded")
+    max_range: float = told(5.0, "m; landmarks are observed between these distances, both excluded")
+    prior_sigma: float = told(0.0, "m and rad; the prior mean is drawn with it, 0 is an exact start")
+    heading_noise: str = told(
+        "after",
+        "after, a step's heading noise does not affect its translation (exact for this motion), or before, it turns "
+        "the translation, too",
+    )  # fmt: skip
+    speed_noise: str = told(
+        "start", "the noise of the speed acts along the heading at the start or at the end of a step"
+    )
+    covariance_floor: float = told(1e-10, "smallest eigenvalue of an increment's covariance; 0 for none (filters only)")
 
     def __post_init__(self) -> None:
         positive = ("frames", "period", "speed", "turn_rate", "sigma_point", "landmarks", "max_range")

@@ -10,7 +10,7 @@ seed, and noise is drawn for unseen points, too: people, range or angles leave o
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from data.se2 import Array, wrap_angle
 from data.sensors import RelativePoint
 from data.truth import Truth
 from data.worlds import parameters
+from data.worlds.parameters import in_degrees, told
 from data.worlds.registry import name_of, written
 
 SIDE = 10  # m, and number of moves, from corner to corner
@@ -64,6 +65,10 @@ def walks(frames: int, crowd: int, sv: float, sa: float, rng: np.random.Generato
 
 SLACK = 1e-9  # m and rad. Points beside the robot are at the edge of the view, and are seen whatever the rounding.
 NEAREST = 1e-3  # m, smallest measured range: at zero range R is singular
+STEP = (
+    "m, mean and standard deviation of a step that forward states; 0 m (a turn in place) and 1 m are within 1.25 "
+    "sigma, 1 m backwards is at 3.75"
+)
 
 
 @dataclass(frozen=True)
@@ -71,61 +76,40 @@ class Corridor(parameters.Imperfect):
     """Parameters of the lab, with its own numbers as defaults. Angles: radians here, degrees in names and flags.
 
     UsageError for a number out of range, or one without effect.
-
-    Attributes:
-        people: people walk about and are observed like points.
-        odometry: wheels are measured; without, every increment is zero, with the sigmas called blind, or a prior's.
-        forward: without odometry, state that the robot goes forward by a step or turns.
-        constant_velocity: without odometry, state that the robot keeps a velocity (a turn in place is 8 sigma off).
-        frames: number of frames; 44 end the first lap, and the motions repeat after that.
-        range: m; points at this distance or farther are not observed.
-        min_angle, max_angle: deg, bearings between which points are observed, both ends included.
-        srho: standard deviation of a range, as a share of that range.
-        sphi: deg, standard deviation of a bearing.
-        sx_move, sy_move: m, standard deviations of the odometry of a move of 1 m.
-        stheta_move: deg, the same of its heading.
-        sx_turn, sy_turn: m, standard deviations of the odometry of a turn of 90 deg in place.
-        stheta_turn: deg, the same of its heading.
-        sx_blind, sy_blind: m, standard deviations stated for every motion without odometry.
-        stheta_blind: deg, the same of its heading.
-        step_mean, step_sigma: m, mean and standard deviation of a step that `forward` states; 0 m (a turn in place) and
-            1 m are within 1.25 sigma, 1 m backwards is at 3.75.
-        velocity, velocity_sigma: m per frame, mean and standard deviation that `constant_velocity` states.
-        lateral_sigma: m, standard deviation sideways that either prior states.
-        turn_sigma: deg, standard deviation of the turn in a frame that either prior states.
-        crowd: number of people, where there are people.
-        sv_people: m per frame, standard deviation of each coordinate of a person's first velocity.
-        sa_people: m per frame, standard deviation of that coordinate's change from frame to frame.
     """
 
-    people: bool = field(default=False, metadata={"hint": "their number is crowd=N"})
-    odometry: bool = True
-    forward: bool = False
-    constant_velocity: bool = False
-    frames: int = 44
-    range: float = 5.0
-    min_angle: float = parameters.in_degrees(-90.0)
-    max_angle: float = parameters.in_degrees(90.0)
-    srho: float = 0.01
-    sphi: float = parameters.in_degrees(0.125)
-    sx_move: float = 0.01
-    sy_move: float = 0.01
-    stheta_move: float = parameters.in_degrees(2.0)
-    sx_turn: float = 0.03
-    sy_turn: float = 0.03
-    stheta_turn: float = parameters.in_degrees(2.5)
-    sx_blind: float = 0.25
-    sy_blind: float = 0.10
-    stheta_blind: float = parameters.in_degrees(5.0)
-    step_mean: float = 0.5
-    step_sigma: float = 0.4
-    velocity: float = 1.0
-    velocity_sigma: float = 0.5
-    lateral_sigma: float = 0.1
-    turn_sigma: float = parameters.in_degrees(60.0)
-    crowd: int = 10
-    sv_people: float = 0.05
-    sa_people: float = 0.01
+    people: bool = told(False, "people walk about and are observed like points", hint="their number is crowd=N")
+    odometry: bool = told(
+        True, "wheels are measured; without, every increment is zero, with the sigmas called blind, or a prior's"
+    )
+    forward: bool = told(False, "without odometry, state that the robot goes forward by a step or turns")
+    constant_velocity: bool = told(
+        False, "without odometry, state that the robot keeps a velocity (a turn in place is 8 sigma off)"
+    )
+    frames: int = told(44, "number of frames; 44 end the first lap, and the motions repeat after that")
+    range: float = told(5.0, "m; points at this distance or farther are not observed")
+    min_angle: float = in_degrees(-90.0, "deg, bearings between which points are observed, both ends included")
+    max_angle: float = in_degrees(90.0, "deg, bearings between which points are observed, both ends included")
+    srho: float = told(0.01, "standard deviation of a range, as a share of that range")
+    sphi: float = in_degrees(0.125, "deg, standard deviation of a bearing")
+    sx_move: float = told(0.01, "m, standard deviations of the odometry of a move of 1 m")
+    sy_move: float = told(0.01, "m, standard deviations of the odometry of a move of 1 m")
+    stheta_move: float = in_degrees(2.0, "deg, the same of its heading")
+    sx_turn: float = told(0.03, "m, standard deviations of the odometry of a turn of 90 deg in place")
+    sy_turn: float = told(0.03, "m, standard deviations of the odometry of a turn of 90 deg in place")
+    stheta_turn: float = in_degrees(2.5, "deg, the same of its heading")
+    sx_blind: float = told(0.25, "m, standard deviations stated for every motion without odometry")
+    sy_blind: float = told(0.10, "m, standard deviations stated for every motion without odometry")
+    stheta_blind: float = in_degrees(5.0, "deg, the same of its heading")
+    step_mean: float = told(0.5, STEP)
+    step_sigma: float = told(0.4, STEP)
+    velocity: float = told(1.0, "m per frame, mean and standard deviation that constant_velocity states")
+    velocity_sigma: float = told(0.5, "m per frame, mean and standard deviation that constant_velocity states")
+    lateral_sigma: float = told(0.1, "m, standard deviation sideways that either prior states")
+    turn_sigma: float = in_degrees(60.0, "deg, standard deviation of the turn in a frame that either prior states")
+    crowd: int = told(10, "number of people, where there are people")
+    sv_people: float = told(0.05, "m per frame, standard deviation of each coordinate of a person's first velocity")
+    sa_people: float = told(0.01, "m per frame, standard deviation of that coordinate's change from frame to frame")
 
     def __post_init__(self) -> None:
         positive = ("frames", "crowd", "range", "srho", "sphi")
@@ -171,10 +155,8 @@ class Corridor(parameters.Imperfect):
 
 
 def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
-    """One log of the corridor, reproducible to the byte. True path and points never change.
-
-    Observations of a frame are ordered by landmark id (1 to 88), then people (true id -1). Frames have no stamps; the
-    prior is exact.
+    """One log of the corridor, reproducible to the byte. True path and points never change. Observations of a frame are
+    ordered by landmark id (1 to 88), then people (true id -1). Frames have no stamps; the prior is exact.
     """
     odometry_rng, sensor_rng, walk_rng, people_rng = parameters.streams(seed, 4)
     truth, turned = path(corridor.frames)

@@ -21,41 +21,27 @@ from data.motion.velocity import floor_covariances
 from data.se2 import Array
 from data.sensors import RelativePoint
 from data.truth import Truth
-from data.worlds.parameters import check_parameters, drawn_prior, streams
+from data.worlds.parameters import check_parameters, drawn_prior, streams, told
 
 
 @dataclass(frozen=True)
 class LinearWorld:
-    """Parameters of the world; larger heading sigmas make it nonlinear. UsageError for an invalid value.
+    """Parameters of the world; larger heading sigmas make it nonlinear. UsageError for an invalid value."""
 
-    Attributes:
-        frames: number of frames.
-        period: s between frames.
-        laps: number of laps of the figure of eight.
-        half_length, half_width: m, half the extent of the figure of eight along x and y.
-        rows, columns: of the grid of landmarks, which has its centre where the path crosses itself.
-        spacing: m, between neighbours of the grid.
-        max_range: m; nearer landmarks are observed, in any direction.
-        sigma_odometry: m, noise of each coordinate of a step.
-        sigma_turn: rad, noise of a step's turn; below 1e-5 the covariance floor of 1e-10 applies.
-        sigma_point: m, noise of each coordinate of an observed point.
-        prior_sigma: m, prior_sigma_heading: rad; the prior mean is drawn with them.
-    """
-
-    frames: int = 100
-    period: float = 1.0
-    laps: float = 2.0
-    half_length: float = 120.0
-    half_width: float = 80.0
-    rows: int = 5
-    columns: int = 6
-    spacing: float = 50.0
-    max_range: float = 120.0
-    sigma_odometry: float = 0.05
-    sigma_turn: float = 3e-5
-    sigma_point: float = 0.1
-    prior_sigma: float = 0.01
-    prior_sigma_heading: float = 3e-5
+    frames: int = told(100, "number of frames")
+    period: float = told(1.0, "s between frames")
+    laps: float = told(2.0, "number of laps of the figure of eight")
+    half_length: float = told(120.0, "m, half the extent of the figure of eight along x and y")
+    half_width: float = told(80.0, "m, half the extent of the figure of eight along x and y")
+    rows: int = told(5, "of the grid of landmarks, which has its centre where the path crosses itself")
+    columns: int = told(6, "of the grid of landmarks, which has its centre where the path crosses itself")
+    spacing: float = told(50.0, "m, between neighbours of the grid")
+    max_range: float = told(120.0, "m; nearer landmarks are observed, in any direction")
+    sigma_odometry: float = told(0.05, "m, noise of each coordinate of a step")
+    sigma_turn: float = told(3e-5, "rad, noise of a step's turn; below 1e-5 the covariance floor of 1e-10 applies")
+    sigma_point: float = told(0.1, "m, noise of each coordinate of an observed point")
+    prior_sigma: float = told(0.01, "m")
+    prior_sigma_heading: float = told(3e-5, "rad; the prior mean is drawn with them")
 
     def __post_init__(self) -> None:
         layout = ("frames", "period", "laps", "half_length", "half_width", "rows", "columns", "spacing")

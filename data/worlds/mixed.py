@@ -18,7 +18,7 @@ from data.pose_measurements import Closures, Fixes, FixKind, FixSource
 from data.se2 import Array, BoolArray
 from data.worlds import arena
 from data.worlds.arena import Arena
-from data.worlds.parameters import streams
+from data.worlds.parameters import streams, told
 
 STREAMS = 4  # Those of the arena come first
 FAR = 3.0  # closure radii between two frames that a false closure takes for the same place
@@ -27,40 +27,24 @@ JUMP = (3.0, 10.0)  # m, least and largest jump of a GPS fix
 
 @dataclass(frozen=True)
 class Mixed(Arena):
-    """Parameters of the world, beside those of the arena; a period of 0 is none of these measurements.
+    """Parameters of the world, beside those of the arena; a period of 0 is none of these measurements."""
 
-    Attributes:
-        gps_period: s between position fixes.
-        sigma_gps: m, noise of each coordinate of a fix.
-        lever_x, lever_y: m, place of the antenna in the body frame.
-        compass_period: s between headings.
-        sigma_compass: rad, noise of a heading.
-        mount_compass: rad, direction of the compass in the body frame.
-        closure_period: s between closures.
-        closure_gap: s, least time between the two frames of a closure.
-        closure_radius: m, largest distance between them.
-        sigma_closure: m, sigma_closure_heading: rad, noise of a closure.
-        jumps: some GPS fixes are metres off.
-        false_closures: some closures take frames for near each other that are not.
-        outliers: share of fixes that jump and of closures that are false, at least one of each.
-    """
-
-    landmarks: int = 12
-    gps_period: float = 1.0
-    sigma_gps: float = 0.3
-    lever_x: float = -0.3
-    lever_y: float = 0.2
-    compass_period: float = 5.0
-    sigma_compass: float = 0.03
-    mount_compass: float = 0.1
-    closure_period: float = 2.0
-    closure_gap: float = 20.0
-    closure_radius: float = 2.0
-    sigma_closure: float = 0.05
-    sigma_closure_heading: float = 0.01
-    jumps: bool = False
-    false_closures: bool = False
-    outliers: float = 0.05
+    landmarks: int = told(12, "number of point landmarks, uniform in a square")
+    gps_period: float = told(1.0, "s between position fixes")
+    sigma_gps: float = told(0.3, "m, noise of each coordinate of a fix")
+    lever_x: float = told(-0.3, "m, place of the antenna in the body frame")
+    lever_y: float = told(0.2, "m, place of the antenna in the body frame")
+    compass_period: float = told(5.0, "s between headings")
+    sigma_compass: float = told(0.03, "rad, noise of a heading")
+    mount_compass: float = told(0.1, "rad, direction of the compass in the body frame")
+    closure_period: float = told(2.0, "s between closures")
+    closure_gap: float = told(20.0, "s, least time between the two frames of a closure")
+    closure_radius: float = told(2.0, "m, largest distance between them")
+    sigma_closure: float = told(0.05, "m")
+    sigma_closure_heading: float = told(0.01, "rad, noise of a closure")
+    jumps: bool = told(False, "some GPS fixes are metres off")
+    false_closures: bool = told(False, "some closures take frames for near each other that are not")
+    outliers: float = told(0.05, "share of fixes that jump and of closures that are false, at least one of each")
 
     positive: ClassVar[tuple[str, ...]] = (
         *Arena.positive, *("sigma_gps", "sigma_compass", "sigma_closure", "sigma_closure_heading", "closure_radius"),

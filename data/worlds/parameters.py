@@ -72,10 +72,14 @@ def check_parameters(
             raise UsageError(f"{world}: class_error = {values.class_error}; {right}")
 
 
-def in_degrees(value: float) -> float:
-    """A field in radians whose value is written in degrees, in a log's name and as a flag."""
-    default: float = field(default=math.radians(value), metadata={"unit": "deg"})
-    return default
+def told(value: Any, help: str, **more: str) -> Any:
+    """A parameter with its default, and its text for `--help`."""
+    return field(default=value, metadata={"help": help, **more})
+
+
+def in_degrees(value: float, help: str) -> Any:
+    """A parameter in radians whose value is written in degrees, in a log's name and as a flag."""
+    return told(math.radians(value), help, unit="deg")
 
 
 def streams(seed: int, count: int) -> list[np.random.Generator]:
@@ -133,34 +137,24 @@ OF_SENSOR = {"range": "range_error", "bearing": "bearing_error"}  # Parameter na
 
 @dataclass(frozen=True)
 class Imperfect:
-    """Systematic errors of the robot, and appearance of landmarks, as parameters of a world.
+    """Systematic errors of the robot, and appearance of landmarks and of false alarms, which look like some of them."""
 
-    False alarms look like some landmark.
-
-    Attributes:
-        scale: error of the odometry's distances: the robot goes (1 + scale) times the measured one (0.9 times: -0.1).
-        curvature: rad/m, unmeasured turn to the left with every metre.
-        left: error of turns to the left: the robot turns (1 + left) times the measured angle.
-        right: error of turns to the right, likewise.
-        drift: rad/m, standard deviation of a varying curvature, with a correlation of 1/e over 50 m.
-        range_error: error of measured ranges, which are (1 + range_error) times the true ones.
-        bearing_error: rad, error of measured bearings, which are the true ones + bearing_error.
-        descriptor_sigma: standard deviation of a measured descriptor, whose mean differs from landmark to landmark with
-            a standard deviation of 1; 0: there is none.
-        classes: number of classes, equally frequent; 0: there are none.
-        class_error: probability that a class is read wrongly.
-    """
-
-    scale: float = 0.0
-    curvature: float = 0.0
-    left: float = 0.0
-    right: float = 0.0
-    drift: float = 0.0
-    range_error: float = 0.0
-    bearing_error: float = 0.0
-    descriptor_sigma: float = 0.0
-    classes: int = 0
-    class_error: float = 0.05
+    scale: float = told(
+        0.0, "error of the odometry's distances: the robot goes (1 + scale) times the measured one (0.9 times: -0.1)"
+    )
+    curvature: float = told(0.0, "rad/m, unmeasured turn to the left with every metre")
+    left: float = told(0.0, "the robot turns (1 + left) times the measured angle")
+    right: float = told(0.0, "error of turns to the right, likewise")
+    drift: float = told(0.0, "rad/m, standard deviation of a varying curvature, with a correlation of 1/e over 50 m")
+    range_error: float = told(0.0, "error of measured ranges, which are (1 + range_error) times the true ones")
+    bearing_error: float = told(0.0, "rad, error of measured bearings, which are the true ones + bearing_error")
+    descriptor_sigma: float = told(
+        0.0,
+        "standard deviation of a measured descriptor, whose mean differs from landmark to landmark with a standard "
+        "deviation of 1; 0: there is none",
+    )  # fmt: skip
+    classes: int = told(0, "number of classes, equally frequent; 0: there are none")
+    class_error: float = told(0.05, "probability that a class is read wrongly")
 
     @property
     def is_plain(self) -> bool:

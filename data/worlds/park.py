@@ -20,7 +20,8 @@ from data.log import Log
 from data.se2 import Array
 from data.sensors import RangeBearing
 from data.truth import Truth
-from data.worlds.parameters import Imperfect, as_read, check_parameters, drawn_prior, dressed, driven, reported, streams
+from data.worlds import parameters
+from data.worlds.parameters import Imperfect, check_parameters, dressed, told
 
 RADIUS, TURN = 5, 8  # Steps: radius of a quarter turn at a crossing, and number of (slightly shorter) steps of the turn
 HEADINGS = ((1, 0), (0, 1), (-1, 0), (0, -1))  # East, north, west, south
@@ -28,42 +29,25 @@ HEADINGS = ((1, 0), (0, 1), (-1, 0), (0, -1))  # East, north, west, south
 
 @dataclass(frozen=True)
 class Park(Imperfect):
-    """Parameters of the world; park size and number of trees follow from the length of the drive. UsageError if
-    invalid.
+    """Parameters of the world; the park's size and its trees follow from the length. UsageError if invalid."""
 
-    Attributes:
-        frames: number of frames.
-        period: s between frames, one odometry sample each.
-        step: m, distance driven in a frame.
-        block: steps between two crossings; at least 20.
-        revisits: mean number of times a path is driven.
-        spacing: m of path for each tree.
-        strip: m, half the width of the strips of trees about the paths.
-        sigma_v: m per sqrt(s), sigma_omega: rad per sqrt(s), odometry noise densities.
-        sigma_range: m, sigma_bearing: rad, noise of the sensor.
-        min_range, max_range: m; nothing nearer or farther is reported.
-        field_of_view: deg, full opening angle.
-        detection: probability that a tree in view is reported.
-        prior_sigma: m, prior_sigma_heading: rad; the prior mean is drawn with them.
-    """
-
-    frames: int = 2000
-    period: float = 1.0
-    step: float = 1.0
-    block: int = 60
-    revisits: float = 3.0
-    spacing: float = 4.0
-    strip: float = 6.0
-    sigma_v: float = 0.05
-    sigma_omega: float = 0.01
-    sigma_range: float = 0.1
-    sigma_bearing: float = 0.02
-    min_range: float = 0.0
-    max_range: float = 18.0
-    field_of_view: float = 180.0
-    detection: float = 0.9
-    prior_sigma: float = 0.1
-    prior_sigma_heading: float = 0.02
+    frames: int = told(2000, "number of frames")
+    period: float = told(1.0, "s between frames, one odometry sample each")
+    step: float = told(1.0, "m, distance driven in a frame")
+    block: int = told(60, "steps between two crossings; at least 20")
+    revisits: float = told(3.0, "mean number of times a path is driven")
+    spacing: float = told(4.0, "m of path for each tree")
+    strip: float = told(6.0, "m, half the width of the strips of trees about the paths")
+    sigma_v: float = told(0.05, "m per sqrt(s)")
+    sigma_omega: float = told(0.01, "rad per sqrt(s), odometry noise densities")
+    sigma_range: float = told(0.1, "m")
+    sigma_bearing: float = told(0.02, "rad, noise of the sensor")
+    min_range: float = told(0.0, "m; nothing nearer or farther is reported")
+    max_range: float = told(18.0, "m; nothing nearer or farther is reported")
+    field_of_view: float = told(180.0, "deg, full opening angle")
+    detection: float = told(0.9, "probability that a tree in view is reported")
+    prior_sigma: float = told(0.1, "m")
+    prior_sigma_heading: float = told(0.02, "rad; the prior mean is drawn with them")
 
     def __post_init__(self) -> None:
         layout = ("frames", "period", "step", "block", "revisits", "spacing", "strip")
@@ -93,18 +77,18 @@ class Park(Imperfect):
 
 def simulate(park: Park, seed: int, name: str | None = None) -> Log:
     """One log of the park. Same parameters and seed: same bytes."""
-    route_rng, map_rng, odometry_rng, sensor_rng, prior_rng = streams(seed, 5)
+    route_rng, map_rng, odometry_rng, sensor_rng, prior_rng = parameters.streams(seed, 5)
     time = park.period * np.arange(park.frames, dtype=np.float64)
     v, omega = (each / park.period for each in _route(park, route_rng))
     start, density = np.array([RADIUS * park.step, 0.0, 0.0]), (park.sigma_v, park.sigma_omega)
-    truth, increments, floored = driven(park.period, v, omega, time, start, density, odometry_rng)
-    increments, errors = reported(park, increments, seed)
+    truth, increments, floored = parameters.driven(park.period, v, omega, time, start, density, odometry_rng)
+    increments, errors = parameters.reported(park, increments, seed)
     trees = _trees(park, map_rng)
     sensor = park.sensor()
     frame, z, true_id = _observe(park, sensor, truth, trees, sensor_rng)
     R = np.tile(np.diag([park.sigma_range**2, park.sigma_bearing**2]), (len(z), 1, 1))
     known = LandmarkMap(np.arange(len(trees)), trees)
-    prior = drawn_prior(truth[0], park.prior_sigma, park.prior_sigma_heading, prior_rng)
+    prior = parameters.drawn_prior(truth[0], park.prior_sigma, park.prior_sigma_heading, prior_rng)
     inputs = Inputs(prior, time, increments, Observations(frame, z, R), sensor, known, floored=floored)
     truth_side = Truth(truth, known, true_id, errors=errors)
     return dressed(park, Log(name or f"park:{seed}", inputs, truth_side, source={"kind": "park", "seed": seed}), seed)
@@ -166,5 +150,5 @@ def _observe(
     reported = rng.random(len(tree)) < park.detection
     noise = rng.standard_normal((len(tree), 2)) * np.array([park.sigma_range, park.sigma_bearing])
     seen = sensor.in_view(exact) & (exact[:, 0] >= park.min_range) & reported
-    z = as_read(park, sensor, exact[seen]) + noise[seen]
+    z = parameters.as_read(park, sensor, exact[seen]) + noise[seen]
     return frame[seen], np.stack([np.maximum(z[:, 0], 0.0), se2.wrap_angle(z[:, 1])], 1), tree[seen]

@@ -14,7 +14,7 @@ import importlib
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import Field, fields, is_dataclass
+from dataclasses import Field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -203,21 +203,11 @@ def degrees(text: str) -> float:
 
 
 def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
-    """OUT, `--seed`, and a flag for every parameter with its docstring's text; fields in degrees stay in degrees."""
+    """OUT, `--seed`, and a flag for every parameter with its text; fields in degrees stay in degrees."""
     sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     sub.add_argument("--seed", type=count, default=0, metavar="N", help="seed of every random number (default: 0)")
-    parameters = parameters_of(simulator)
-    names = [f.name for f in fields(parameters)]
-    described: dict[str, str] = {}
-    for kind in reversed([k for k in parameters.__mro__ if is_dataclass(k)]):  # worlds share parameters of errors
-        # a docstring's text about each name, from `name:` (or `name, other:`) to the next one
-        text, name = (kind.__doc__ or "").partition("Raises:")[0], f"(?:{'|'.join(names)})"
-        found = list(re.finditer(rf"\b({name}(?:, {name})*): ", text))
-        for m, end in zip(found, [*(m.start() for m in found[1:]), len(text)], strict=True):
-            about = " ".join(text[m.end() : end].split()).replace("`", "").rstrip(" .,;")
-            described |= dict.fromkeys(m[1].split(", "), about)
-    for f in fields(parameters):
-        flag, text = f"--{f.name.replace('_', '-')}", described.get(f.name, "")
+    for f in fields(parameters_of(simulator)):
+        flag, text = f"--{f.name.replace('_', '-')}", f.metadata.get("help", "")
         if isinstance(f.default, bool):
             text = f"{text} (default: {'on' if f.default else 'off'})".replace("%", "%%")
             sub.add_argument(flag, action=argparse.BooleanOptionalAction, default=f.default, help=text)

@@ -20,8 +20,7 @@ from eval.replay.run import front_end, step_by_step, through
 from eval.replay.settings import Beginning, Setup
 
 SETUP = Setup()
-TURNS = (math.pi, -2.0, 3.1)
-"""rad; the arena's first headings are 0 to 0.2: rotated by these, they cross the seam at once, or soon."""
+TURNS = (math.pi, -2.0, 3.1)  # rad; of first headings from 0 to 0.2, which cross the seam at once or soon
 STRADDLED = ((2, math.pi), (7, 0.0), (12, math.pi))
 """Frames whose predicted heading is put on a seam [rad], and so, in another world, is the updated one after; some wrap
 headings to 0 to 2 pi. What they add counts from `CHANCE` times the others on: samples differ from turn to turn."""

@@ -17,8 +17,7 @@ from data.result import Run, Systematics
 from data.se2 import Array
 from data.terminal import counted
 from data.words import number
-from eval.figures import kinds
-from eval.figures import style as house
+from eval.figures import kinds, style as house
 from eval.figures.error import heading_of, longest_sigma, panels, sigmas, thinned, ticks, time_axis
 from eval.referee.consistency import anees_band, mean_or_nan, nees, nis_bounds
 from eval.referee.given.runs import log_of
@@ -272,11 +271,8 @@ PANELS = (
 
 @house.drawing()
 def outlier_figure(table: pd.DataFrame, title: str) -> Figure:
-    """Position RMSE and pose NEES with their intervals against the share of wrong associations, a row per task.
-
-    Args:
-        table: one row per task, estimator and rate, with the columns of `PANELS`; NaN values are gaps.
-        title: what was studied.
+    """Position RMSE and pose NEES with their intervals against the share of wrong associations, a row per task. `table`
+    has a row per task, estimator and rate, with the columns of `PANELS`; NaN values are gaps.
     """
     tasks, names = list(dict.fromkeys(table["task"])), list(dict.fromkeys(table["estimator"]))
     rates = sorted({float(r) for r in table["rate"]})

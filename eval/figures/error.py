@@ -22,8 +22,7 @@ from eval.referee.score import Trial
 MOST_BINS = 600  # stretches of time in a panel; more than paper or screen can show
 COORDINATES = (("x", "m", 1.0), ("y", "m", 1.0), ("heading", "deg", 180.0 / np.pi))
 """Name, unit, and factor from SI of each row of the error figure."""
-WIDEST = 4.0
-"""A panel may be at most this many times as high as its row's middle panel needs; beyond, the curve leaves it."""
+WIDEST = 4.0  # A panel is at most this many times as high as its row's middle panel needs; beyond, the curve leaves it
 
 
 def ticks(most: int) -> MaxNLocator:

@@ -19,8 +19,7 @@ from data.pose_measurements import FixKind
 from data.result import MapEstimate, Run
 from data.se2 import Array, dead_reckoned
 from data.terminal import counted
-from eval.figures import kinds, plane
-from eval.figures import style as house
+from eval.figures import kinds, plane, style as house
 from eval.referee.ambiguity import ambiguous
 from eval.referee.given.runs import is_truth_alone
 from eval.referee.score import Trial
@@ -31,8 +30,7 @@ FAINT = "#b0b0b0"  # Of fixes and closures
 GREY = "#606060"  # What the legend shows of every estimator
 AMBIGUOUS: dict[str, Any] = {"color": "black", "marker": "D", "fillstyle": "none", "linestyle": "none"}
 """Around landmarks that another place would suit as well."""
-Surveyed = Callable[[Axes], Sequence[Line2D]]
-"""Draws what was surveyed on a map, and returns what the legend shows of it."""
+Surveyed = Callable[[Axes], Sequence[Line2D]]  # Draws what was surveyed on a map, and returns what the legend shows
 
 
 def _with_ellipses(shown: Sequence[house.Series]) -> list[house.Series]:
@@ -107,8 +105,7 @@ def map_figure(
     return fig
 
 
-DASH = 5.0
-"""Length [line widths] of a dash of the second solid path; the gaps of each further one are longer by as much."""
+DASH = 5.0  # Length [line widths] of a dash of the second solid path; gaps of each further one are longer by as much
 
 
 def _draw_paths(ax: Axes, m: _Map) -> list[Line2D | Patch]:

@@ -32,17 +32,14 @@ from eval.referee.sources import has_sources
 from eval.replay.settings import INCREMENTAL
 from eval.studies.diagnosis import Trust, contradicted
 
-CHANCE = 0.05
-"""A larger p is called chance, and so is a difference whose interval holds zero: near the edge the two may differ."""
+CHANCE = 0.05  # A larger p is called chance, as is a difference whose interval holds zero: near it they may differ
 UNTRUSTED = (Code.AGAINST_WHEELS, Code.DOUBLED_WALLS)
 """What forbids to trust any path of a log: it leaves the wheels, or its walls are doubled."""
 CLEAR = 1.1  # ratio of two RMSEs that is a difference where no interval can be formed
 FAR_NIS = 2.0  # NIS of a smoother over its expectation, beside a lost filter: its pairings are those of the filter
 SAME = 0.02  # relative difference of an online smoother's RMSE and a filter's below which they are called equal
-LINEARIZATION = 2.0
-"""So many times the RMSE of a smoother with the same data at the same instants: linearization, not luck."""
-FAR = 20.0
-"""A filter's NIS so many times the smoother's is linearization: a wrong map or prior, or a jump, gives up to 10."""
+LINEARIZATION = 2.0  # So many times the RMSE of a smoother with the same data at the same instants: not luck
+FAR = 20.0  # A filter's NIS so many times the smoother's is linearization: a wrong map, prior or a jump gives up to 10
 STILL = 0.1  # m and rad that no path goes or turns in a log in which nothing moves
 MOSTLY = 1.5  # so many times the aligned RMSE, the plain one is half due to the frame in variance (1.5 squared is 2.25)
 
@@ -174,33 +171,23 @@ class LogFaults:
 class Judgement:
     """Of one log and task, from all its runs.
 
-    Attributes:
-        runs: every run in every phase, in the order of metrics.csv; `last`: in its last phase.
-        measured: whether errors are known at all.
-        given: names of results that were handed in.
-        methods: how the association methods without labels did; None: no scored ones.
-        cause: None without a diagnosis.
-        verdict, covariances: whose path to use, and whether its covariances may be used, too.
-        objections: to the verdict, the strongest first.
-        origins: of the log's noise, prior and so on, unless the recording states them.
-
     Example:
         >>> [(o.objection, o.estimator) for o in slamref.judge(trial).objections]
     """
 
     log: str
     task: str
-    measured: bool
-    runs: tuple[RunJudgement, ...]
+    measured: bool  # whether errors are known at all
+    runs: tuple[RunJudgement, ...]  # every run in every phase, in the order of metrics.csv; `last`: in its last phase
     compared: Comparison
-    verdict: Verdict
-    covariances: bool
-    objections: tuple[Objected, ...] = ()
-    methods: Methods | None = None
-    cause: Cause | None = None
+    verdict: Verdict  # whose path to use
+    covariances: bool  # whether its covariances may be used, too
+    objections: tuple[Objected, ...] = ()  # to the verdict, the strongest first
+    methods: Methods | None = None  # how the association methods without labels did; None: no scored ones
+    cause: Cause | None = None  # None without a diagnosis
     log_faults: LogFaults = field(default_factory=LogFaults)
-    given: tuple[str, ...] = ()
-    origins: Origins = field(default_factory=dict)
+    given: tuple[str, ...] = ()  # names of results that were handed in
+    origins: Origins = field(default_factory=dict)  # of noise, prior and so on, unless the recording states them
 
     @property
     def assumed_noise(self) -> tuple[str, ...]:

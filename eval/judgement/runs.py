@@ -1,8 +1,7 @@
 """What is known of one run in one phase, as its tables show it, and what objects to it."""
 
 import math
-from collections.abc import Mapping, Sequence
-from collections.abc import Set as AnySet
+from collections.abc import Mapping, Sequence, Set as AnySet
 from dataclasses import dataclass, replace
 from enum import StrEnum
 

@@ -84,9 +84,7 @@ def _teams(options: Options, say: Callable[[str], None]) -> list[Experiment]:
     s = options.selection
     if not s.log:
         raise UsageError("--cooperative: of which robots? name a UTIAS MRCLAM dataset, or arena:SEED:robots=5")
-    made = [
-        e for name in s.log for team in of_all("teams") for e in team(name, s, options.setup, reading_of(options), say)
-    ]
+    made = [e for name in s.log for f in of_all("teams") for e in f(name, s, options.setup, reading_of(options), say)]
     return [replace(e, log=_cut(e.log, options)) for e in made]
 
 

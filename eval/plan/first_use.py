@@ -20,10 +20,8 @@ INTERPRETED = "NUMBA_DISABLE_JIT"
 SMALL = 16_000
 """Most observations, times estimators, methods and tasks, for interpreted kernels: 20 s at the measured 0.3 to 1.2 ms
 each; compiling takes longer."""
-WORLDS = {"arena": 2000, "linear": 1400, "corridor": 600}
-"""Most observations of simulated logs, by default or with fewer frames."""
-FEWER = re.compile(r"frames=(\d{1,2}|1\d\d|200)|people|no-odometry|no-people|odometry")
-"""Keys that do not enlarge a simulated log."""
+WORLDS = {"arena": 2000, "linear": 1400, "corridor": 600}  # Most observations of simulated logs of default length
+FEWER = re.compile(r"frames=(\d{1,2}|1\d\d|200)|people|no-odometry|no-people|odometry")  # Of no larger log
 LINES = 200_000  # most bytes in observations.csv of a small log, with at least 50 bytes a line
 NOTICE = "first run: interpreted; compiling in the background, later runs are faster"
 

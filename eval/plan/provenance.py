@@ -80,12 +80,8 @@ def provenance(
 
 
 def settings_of_lab(log: Callable[[], Log], report: Path | None) -> dict[str, object]:
-    """The settings of the lab whose report is in a folder, if the lab ran on this very log; else none.
-
-    `log` opens it, and is called only if there is a lab's report.
-
-    Raises:
-        UsageError: a folder was named (`report`), and holds no lab with this log.
+    """The settings of the lab whose report is in a folder, if it ran on this very log (`log` opens it then); else none.
+    UsageError: a folder was named (`report`), and holds no lab with this log.
     """
     try:
         kept = json.loads(((report or REPORT) / "provenance.json").read_text(encoding="utf-8"))

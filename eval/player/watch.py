@@ -24,8 +24,7 @@ from graph.incremental import Isam2Smoother
 
 SIGMAS = 3.0
 FINEST, COARSEST = 1.0e-3, 1.0e-1  # m
-SHARE = 1.0e-4
-"""Quantum over the path's extent: a fifth of a pixel on a large screen. 1 mm in a corridor, 1 cm in a park."""
+SHARE = 1.0e-4  # Quantum over the path's extent, 1/5 pixel on a large screen: 1 mm in a corridor, 1 cm in a park
 LOOKED_AT = 0.99999  # candidates inside this gate are kept, ...
 MOST = 12  # ... at most this many; the nearest and the paired one always
 LARGE, SELDOM = 300, 10  # a map with more landmarks is recorded only every few frames: recording costs as long as using

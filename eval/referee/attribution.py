@@ -36,8 +36,7 @@ class Finding:
     cause: str  # `NOISE`, `ASSOCIATIONS` or `ESTIMATOR`
     kind: str  # `systematic`, `sigma`, `tails`, `pairings`, `decisions`, `linearization` or `innovations`
     name: str  # of the systematic error, component or estimator
-    size: float
-    """Systematic error, factor of the stated sigma, number of observations, or NEES per dof (NIS: share) on twins."""
+    size: float  # Systematic error, factor of the stated sigma, observations, or NEES per dof (NIS: share) on twins
     error: float = math.nan  # standard error of the size
     gain: float = math.nan  # of log-likelihood
     other: tuple[str, ...] = ()  # systematic errors that cannot be distinguished from it

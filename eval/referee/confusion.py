@@ -105,12 +105,8 @@ def confuse(
 
 
 def majority(number: IntArray, true_id: IntArray, first: BoolArray) -> IntArray:
-    """The most frequent true id of each landmark's observations, by landmark number; `CLUTTER`: no landmark.
-
-    Args:
-        number: (M,) landmark of each observation, negative: none.
-        true_id: (M,).
-        first: (M,) whether it is its landmark's first; of equally frequent ids that one's wins, else the lowest.
+    """The most frequent true id (M,) of each landmark's observations, by landmark `number` (M,) < 0: none; `CLUTTER`:
+    no landmark. Of equally frequent ids that of its `first` (M,) observation wins, else the lowest.
     """
     size = int(number.max(initial=-1)) + 1
     named: IntArray = np.full(size, CLUTTER, np.int64)

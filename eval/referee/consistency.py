@@ -60,8 +60,7 @@ FAMILY_LEVEL = 0.001  # false-rejection rate of the exit status over all declare
 TAIL_LEVEL = 0.001  # probability below which a single run's mean NEES makes the verdict overconfident
 CLAIMED = 0.8  # stated fraction of the true covariance against which the power is computed
 COVERAGE_LEVELS = (0.5, 0.9, 0.95, 0.99)
-INSIDE_3SIGMA = float(special.chdtr(2, 9.0))
-"""Share of positions inside the 3 sigma ellipse of a consistent estimator (98.89 %)."""
+INSIDE_3SIGMA = float(special.chdtr(2, 9.0))  # Share of positions in the 3 sigma ellipse if consistent (98.89 %)
 CHI2_3_MEDIAN = float(special.chdtri(3, 0.5))  # median pose NEES of a consistent estimator (2.366)
 THIN = 100.0
 """Eigenvalue below which a pose covariance is nearly singular, in floors of the increments' covariance. After an exact
@@ -70,8 +69,7 @@ prior this lasts a frame or two."""
 NEES_LIMIT = 9.0
 """Mean pose NEES (expected 3) of one run that is overconfident, however its frames are correlated: a chi-square
 variable of 3 degrees of freedom exceeds it in 3 % of logs."""
-NEES_LIMITS = {2: 7.06, 3: NEES_LIMIT}
-"""The same by degrees of freedom: 2 of the position, where the truth has no headings."""
+NEES_LIMITS = {2: 7.06, 3: NEES_LIMIT}  # By degrees of freedom: 2 of the position, where the truth has no headings
 ASTRAY_NEES = 300.0  # mean pose NEES of a path that is not where it claims to be: 10 sigma in each of three coordinates
 
 CONSISTENT, OVERCONFIDENT, CONSERVATIVE, TOO_FEW = "consistent", "overconfident", "conservative", "not enough runs"
@@ -246,17 +244,13 @@ def coverage(values: Array, dof: int, level: float) -> Verdict:
 
 
 def lag1(white: Array, frame: IntArray, number: IntArray) -> tuple[float, float]:
-    """Mean product of a landmark's standardized innovations in consecutive frames, and its standard error if white.
-
-    Args:
-        white: (M, 2) innovations times the inverse root of their own 2x2 covariance, at the prediction; NaN: not used.
-        frame: (M,) frame of each observation.
-        number: (M,) landmark it was paired with; negative: none.
+    """Mean product of a landmark's standardized innovations in consecutive frames, and its standard error if white, of
+    `white` (M, 2), times the inverse root of their own covariance, NaN: not used; `number` (M,): landmark or < 0.
 
     Given all data up to frame k, a consistent filter's innovation in frame k+1 has mean zero (Bar-Shalom, Li,
-    Kirubarajan 5.4.2), so T = sum of w_k' w_k+1 over the landmarks of both frames is a martingale difference. Hence
-    r = sum T / (2 pairs) has mean 0, and sum T^2 estimates the variance of sum T although innovations within a frame
-    are correlated. r is in units of the stated variance; it is a correlation only if that is right (see
+    Kirubarajan 5.4.2), so T = sum of w_k' w_k+1 over the landmarks of both frames is a martingale difference. Hence r =
+    sum T / (2 pairs) has mean 0, and sum T^2 estimates the variance of sum T although innovations within a frame are
+    correlated. r is in units of the stated variance; it is a correlation only if that is right (see
     `lag1_correlation`). Returns (nan, nan) without pairs.
     """
     before, after = successive(white, frame, number)

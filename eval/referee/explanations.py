@@ -369,9 +369,7 @@ def _changes(e: Evidence, even: Array) -> list[Explanation]:
     i, j = np.triu_indices(len(cuts), 1)
     at = np.searchsorted(frame, cuts)
     dof = np.isfinite(e.observations).sum(axis=1)[rows]
-    sums = [
-        np.concatenate([[0.0], np.cumsum(v)]) for v in (np.nansum(e.observations**2, axis=1)[rows], even[rows], dof)
-    ]
+    sums = [np.concatenate([[0.0], np.cumsum(v)]) for v in (np.nansum(e.observations**2, 1)[rows], even[rows], dof)]
     (own, alike, inside), (_, all_alike, every) = ([v[at[j]] - v[at[i]] for v in sums], [float(v[-1]) for v in sums])
     fits = (inside >= 2 * FEWEST) & (every - inside >= 2 * FEWEST)
     i, j, own, alike, inside = (v[fits] for v in (i, j, own, alike, inside))

@@ -18,13 +18,11 @@ from eval.referee.consistency import LEVEL
 from eval.referee.errors import Along, aligned_distance
 from eval.referee.given.runs import log_of
 
-REPLICATES = 1000
-"""Bootstrap replicates: the 2.5 % point has a standard error of 0.5 % in level, and p is at least 1/1001."""
+REPLICATES = 1000  # Bootstrap replicates: the 2.5 % point has a standard error of 0.5 % in level, p is at least 1/1001
 SEED = 0  # seed of every run and pair, so that a run has the same interval wherever it is scored
 MIN_FRAMES = 50  # least number of frames of an interval: with 30 the measured coverage is 89 % even without correlation
 LONGEST = 0.1  # largest mean block, as a share of the frames: ten blocks
-MIN_INDEPENDENT = 20.0
-"""Least number of independent frames; below it the measured coverage is 20 to 80 % (docs/notes/verdicts.md)."""
+MIN_INDEPENDENT = 20.0  # Least number of independent frames; below, coverage is 20 to 80 % (docs/notes/verdicts.md)
 ONE_DRAW = "in SLAM the error of the frame is one draw, which no part of the log shows"
 CHUNK = 500_000  # blocks drawn at once, for 50 MB of memory
 

@@ -8,8 +8,7 @@ from typing import Any, Literal
 
 from eval.referee.consistency import CHI2_3_MEDIAN, INSIDE_3SIGMA
 
-Better = Literal["smaller", "larger", "nearer", "neither"]
-"""The better one of two values; `nearer`: to the expected value."""
+Better = Literal["smaller", "larger", "nearer", "neither"]  # The better of two values; `nearer`: to the expected one
 
 
 @dataclass(frozen=True)

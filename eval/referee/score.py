@@ -42,22 +42,16 @@ COUNTED = [m.column for m in OF_DECISIONS if m.column not in ("share_within", "w
 class Trial:
     """All runs of one log and task on identical inputs.
 
-    Attributes:
-        log, task: with the truth for the referee, without windows of bad truth (`data.truth_windows.scored`), which
-            `log.truth.left_out` lists; `localization` or `slam`.
-        runs: results of `compare`.
-        variant_of, about: of a variant, the log whose table it joins, and a description.
-
     Example:
         >>> trial = slamref.Trial(log, "slam", tuple(runs))
         >>> trial.find("ekf", "known").final_decisions.shape  # (M,) observations
     """
 
-    log: Log
-    task: str
-    runs: tuple[Run, ...]
-    variant_of: str | None = None
-    about: str = ""
+    log: Log  # without windows of bad truth (`data.truth_windows.scored`); `log.truth.left_out` lists them
+    task: str  # `localization` or `slam`
+    runs: tuple[Run, ...]  # results of `compare`
+    variant_of: str | None = None  # of a variant, the log whose table it joins
+    about: str = ""  # description of a variant
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "log", scored(self.log))

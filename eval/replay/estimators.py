@@ -19,8 +19,7 @@ from ekf.filter import FilterOptions, lack
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
-from eval.replay.external.adapter import CannotError, call
-from eval.replay.external.adapter import estimator as foreign_estimator
+from eval.replay.external.adapter import CannotError, call, estimator as foreign_estimator
 from eval.replay.external.spec import is_foreign
 from eval.replay.settings import ESTIMATOR_TABLE, FILTERS, HINDSIGHT, INCREMENTAL, STEPPING, Given, Setup
 

@@ -34,8 +34,7 @@ from graph.factors import UnderConstrained
 
 PLAIN = Setup()
 NULL_OBSERVER = Observer()
-DIVERGED = (FilterDivergedError, UnderConstrained, SingularInnovationError)
-"""Errors of our estimators that cannot continue."""
+DIVERGED = (FilterDivergedError, UnderConstrained, SingularInnovationError)  # Errors of estimators that cannot continue
 
 
 def crashed(fault: Exception, frame: int) -> Failure:

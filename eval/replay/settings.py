@@ -25,32 +25,12 @@ SENSED_GATE = 0.9999
 """Default gate for labels read by a sensor: it loses one right observation in 10 000, and a misread barcode moves an
 ungated estimate by decimetres. Chosen among gates from 0.99 to 0.99999 and robust losses (docs/results.md)."""
 
-POSE_GATE = SENSED_GATE
-"""Default gate of fixes and closures, for the same reason: a false one moves an ungated estimate by metres."""
+POSE_GATE = SENSED_GATE  # Default gate of fixes and closures: a false one, too, moves an ungated estimate by metres
 
 
 @dataclass(frozen=True)
 class Setup:
     """Gates are chi-square probabilities, None for no gate; spans are seconds (frames in a log without stamps).
-
-    Attributes:
-        gate: of the association methods' tests.
-        new_gate: an observation outside this gate of every landmark may start a new one.
-        gate_known: of pairings by label; `auto`: `SENSED_GATE` where a sensor read the labels, none where they are the
-            truth (see `settled`). In a laser log, of the EKF's loop closures.
-        gate_smoothers: apply that gate to smoothers, too.
-        gate_poses: of each absolute fix of the pose, and of each closure.
-        in_view: the EKF offers only landmarks in range and view as candidates, as iSAM2 always does.
-        appearance: association uses descriptors and classes, where the log has them.
-        maintain: remove landmarks seen once and more than two frames ago.
-        maintain_by: a function of the user's, as `FILE.py:NAME`, says which landmarks leave (docs/extending.md).
-        forget_after: the EKF drops landmarks unseen for this long.
-        deactivate_after: the EKF parks landmarks unseen for this long, and restores them when they may be seen again.
-        lag: a fixed-lag smoother keeps poses for this long.
-        keyframe_distance: m between the key poses of a laser log.
-        hypotheses: number of hypotheses that `mht` keeps.
-        calibrate: systematic errors to estimate, `NAME[=SIGMA]`, or `auto`: those that a log's residuals name, else
-            all; empty: none.
 
     Example:
         >>> wide = slamref.Setup(gate=0.9999, new_gate=0.999999)
@@ -71,11 +51,13 @@ class Setup:
         f"gate for observations paired by label: a probability, none, or auto (default): {SENSED_GATE} where a sensor "
         "read the labels, else none; laser logs: of the EKF's loop closures",
     )  # fmt: skip
+    # apply the gate for labels to smoothers, too
     gate_smoothers: bool = row(True, switch, "", "apply the gate for labels to filters only")
     gate_poses: float | None = row(
         POSE_GATE, probability, "P", f"gate for fixes of the pose and closures, or none (default: {POSE_GATE})"
     )
     in_view: bool = row(False, switch, "", "the EKF offers only landmarks in range and view")
+    # association uses descriptors and classes, where the log has them
     appearance: bool = row(True, switch, "", "association ignores descriptors and classes of landmarks")
     maintain: bool = row(False, switch, "", "SLAM: remove landmarks seen once and more than two frames ago")
     maintain_by: str = row(

@@ -17,8 +17,7 @@ from eval.compare import compare
 from eval.judgement.causes import Terms, terms_of
 from eval.plan.diagnoses import trusted
 from eval.plan.experiment import Experiment, Unfinished, Work
-from eval.plan.flags.table import TWINS, Execution, Options, Output, Scoring
-from eval.plan.flags.table import Study as Simulated
+from eval.plan.flags.table import TWINS, Execution, Options, Output, Scoring, Study as Simulated
 from eval.plan.work import Job, work
 from eval.referee.score import Trial
 from eval.replay.external.adapter import Loaded, Thing, adopt, load, objects, text_of

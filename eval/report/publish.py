@@ -33,8 +33,7 @@ from eval.report.words import paragraph
 
 RUN_FILES, PLAYER = -1, -2  # places of jobs that are no pictures
 MISSING = {RUN_FILES: "files", PLAYER: "player"}  # what is missing without them; see `missing` in notices.j2
-DRAWING, WRITING = 0.8, 1e-3
-"""s of processor time for a figure, and for a frame of a log's files or player; measured, rounded up."""
+DRAWING, WRITING = 0.8, 1e-3  # s of processor time for a figure, and a frame of a log's files or player; measured
 
 
 def kinds(trial: Trial, variants: Variants = (), *, quick: bool = False) -> dict[str, Kind]:

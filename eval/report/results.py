@@ -33,8 +33,7 @@ from eval.referee.given.pairing import FITS, OTHER_FRAME, PLENTY, POOR, inverted
 from eval.referee.given.runs import GivenRun, TruePath, truth_log
 from eval.referee.metrics import OF_ESTIMATES
 from eval.referee.score import Trial, metrics_row
-from eval.referee.space_scores import CONVENTIONS, columns_in_space
-from eval.referee.space_scores import ERRORS as NAMED
+from eval.referee.space_scores import CONVENTIONS, ERRORS as NAMED, columns_in_space
 from eval.report.page.blocks import Table
 from eval.report.page.files import drop_blank_columns, stem, written_table
 from eval.report.words import paragraph, say

@@ -11,8 +11,7 @@ from data.notice import Code, Notice, Severity, ordered
 from data.terminal import WRONG, counted
 from data.words import sentence
 from eval.figures.figure_style import figure_style
-from eval.judgement.judgement import Verdict
-from eval.judgement.judgement import judge as judge_trial
+from eval.judgement.judgement import Verdict, judge as judge_trial
 from eval.plan.console import Console, progress
 from eval.plan.execute import execute
 from eval.plan.experiments import make_plan

@@ -2,8 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from collections.abc import Set as AnySet
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set as AnySet
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path

@@ -116,8 +116,7 @@ def _beside(real: Sample, twins: Sequence[Sample]) -> tuple[Array, Array, Array,
     return values, drawn, z, theory, np.array([not name.endswith(SHARES) for _, name in keys], bool)
 
 
-EXCEEDED = 5
-"""Twins beyond the log's largest statistic that end a test (Besag and Clifford 1991); three of 99 forbid rejection."""
+EXCEEDED = 5  # Twins beyond the log's largest statistic that end a test (Besag, Clifford 1991); 3 of 99: no rejection
 BEYOND = 10.0  # spreads of the twins beyond which no more of them will be
 LOW, HIGH = 0.01, battery.LEVEL  # family-wise p value of slopes that rejects, or not, whatever share they have
 
@@ -277,9 +276,7 @@ def _broken(twins: Sequence[Sample]) -> bool:
 
 def _estimators(twins: Sequence[Sample]) -> list[Finding]:
     """Estimators that are inconsistent on the twins, in NEES, or else in NIS."""
-    nees = {
-        key: [s.nees[key] for s in twins if key in s.nees] for key in dict.fromkeys(k for s in twins for k in s.nees)
-    }
+    nees = {k: [s.nees[k] for s in twins if k in s.nees] for k in dict.fromkeys(k for s in twins for k in s.nees)}
     found = attribution.estimator_errors(nees)
     nis: dict[str, list[float]] = {}
     for m, estimator in ((s.measured[k], k[0]) for s in twins for k in s.measured if k[1] == "nis"):
@@ -288,8 +285,7 @@ def _estimators(twins: Sequence[Sample]) -> list[Finding]:
     return found + [f for f in attribution.innovation_errors(nis) if f.name not in convicted]
 
 
-Tried = tuple[float, Finding, Inputs]
-"""Logarithm of the odds of an explanation, and the inputs corrected by it."""
+Tried = tuple[float, Finding, Inputs]  # Logarithm of the odds of an explanation, and the inputs corrected by it
 ROUNDS = 4  # explanations, one after the other
 WIDE, STEP = 0.7, 0.05  # of the logarithm of a sigma: half the range it is looked for in, and that of its curvature
 TRIED = 3  # explanations of a kind whose likelihood is computed
@@ -380,10 +376,8 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[list[Findin
     if linear:
         tried = _refined(tried, e, smoother, stated)
     # a correlation, or tails, stand beyond a scale whose likelihood is now known
-    roughly = {x.finding.said: x.net for x in found}
-    more = next(
-        (net - roughly[f.said] for net, f, _ in tried if f.said == explanations.SCALE and f.said in roughly), 0.0
-    )
+    rough = {x.finding.said: x.net for x in found}
+    more = next((net - rough[f.said] for net, f, _ in tried if f.said == explanations.SCALE and f.said in rough), 0.0)
     tried = [(net if f.kind in explanations.MODELLED else net + more, f, inputs) for net, f, inputs in tried]
     mispaired = _mispaired(e, smoother, stated)
     # outliers that fit another landmark are no tails
@@ -409,16 +403,14 @@ def _systematic(e: Evidence, smoother: Run, taken: Sequence[str], noisy: Inputs)
             break
         smoother = refitted
         own = explanations.evidence_of(noisy, _path(smoother), residuals.used_by(smoother, noisy))
-        found = [
-            x for x in explanations.explanations(own, [*taken, *_taken(findings)]) if x.finding.kind == "systematic"
-        ]
-        nets = [x.net + x.finding.gain * (1.0 / explanations.excess(own, x.finding.name) - 1.0) for x in found]
+        new = [x for x in explanations.explanations(own, [*taken, *_taken(findings)]) if x.finding.kind == "systematic"]
+        nets = [x.net + x.finding.gain * (1.0 / explanations.excess(own, x.finding.name) - 1.0) for x in new]
         best = int(np.argmax(nets)) if nets else -1
         if best < 0 or not nets[best] > explanations.ALIKE:
             break
-        less, finding = _exactly(explanations.corrected(own, found[best].finding), smoother, found[best].finding)
+        less, finding = _exactly(explanations.corrected(own, new[best].finding), smoother, new[best].finding)
         gain = _likelihood(less, own.used, smoother) - _likelihood(noisy, own.used, smoother)
-        least = explanations.ALIKE + found[best].finding.gain - found[best].net
+        least = explanations.ALIKE + new[best].finding.gain - new[best].net
         if not gain / explanations.excess(own, finding.name) > least:
             break
         findings.append(replace(finding, gain=gain))
@@ -571,11 +563,9 @@ def _in_errors(measured: Mapping[str, Statistic]) -> dict[str, float]:
     return {n: m.value / m.se if n.startswith("slope_") and m.se > 0.0 else m.value for n, m in measured.items()}
 
 
-def _furthest(own: Mapping[str, float], usual: Mapping[str, float], spread: Mapping[str, float]) -> float:
+def _furthest(own: Mapping[str, float], usual: Mapping[str, float], sd: Mapping[str, float]) -> float:
     """Largest distance of a statistic from the usual one, in the replicates' standard deviations."""
-    return max(
-        (abs(own[n] - usual[n]) / spread[n] for n in own if n in usual and spread.get(n, 0.0) > 0.0), default=0.0
-    )
+    return max((abs(own[n] - usual[n]) / sd[n] for n in own if n in usual and sd.get(n, 0.0) > 0.0), default=0.0)
 
 
 def _usual_and_spread(found: Sequence[Mapping[str, float]]) -> tuple[dict[str, float], dict[str, float]]:

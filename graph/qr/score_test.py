@@ -81,11 +81,9 @@ def estimated_errors(
     of_odometry = every.copy()
     of_odometry[:, [RANGE, BEARING]] = 0.0
     # the errors act on the smoothed motion (see `graph.systematic`), not on the stated one
-    _, by_way, by_errors = stated_all(
-        between(path[:-1], path[1:]), of_odometry[1:], inputs.increments.mean[1:, 2] > 0.0
-    )
+    _, by_way, by_error = stated_all(between(path[:-1], path[1:]), of_odometry[1:], inputs.increments.mean[1:, 2] > 0.0)
     motion, observed = np.zeros((len(path), 3, len(place))), np.zeros((len(frame), 2, len(place)))
-    motion[1:] = (np.linalg.inv(by_way) @ by_errors)[:, :, place] * sigma
+    motion[1:] = (np.linalg.inv(by_way) @ by_error)[:, :, place] * sigma
     motion[:, :, place >= RANGE] = 0.0
     size = 1.0 + every[frame, RANGE]
     for i in np.flatnonzero(place >= RANGE):

@@ -1,8 +1,7 @@
 """Fixes and closures: expected measurements, their Jacobians, and which frame gets what."""
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource, expected_closure, expected_fix
 from data.se2 import compose, inverse, wrap_angle

@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 
 from data.se2 import wrap_angle
 from data.sensors import LINE, MIN_RANGE, Line, RangeBearing, RelativePoint, residual

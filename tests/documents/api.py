@@ -23,6 +23,7 @@ CONSTANTS = {
     "DISCARD": "The decision about an observation that no estimator uses.",
 }
 WIDTH = 88
+FIELD = r"(?m)^    # (.*)\n    (\w+): |^    (\w+): .*  # (.*)"  # and its comment, above or behind
 
 
 def written(thing: Callable[..., object]) -> dict[str, str]:
@@ -72,7 +73,7 @@ def value(default: object) -> str:
 def sections(doc: str) -> Iterator[tuple[str, str]]:
     heading, lines = "", list[str]()
     for line in doc.splitlines():
-        if re.fullmatch(r"(Args|Attributes|Returns|Raises|Example):", line):
+        if re.fullmatch(r"(Args|Returns|Raises|Example):", line):
             yield heading, "\n".join(lines).strip("\n")
             heading, lines = line[:-1], []
         else:
@@ -111,8 +112,12 @@ def methods(thing: type) -> Iterator[tuple[str, str]]:
 
 
 def members(thing: type) -> Iterator[str]:
-    if rows := [f"* `{call}`: {about}" for call, about in methods(thing)]:
-        yield "Methods:\n\n" + "\n".join(rows)
+    held = getattr(thing, "__dataclass_fields__", {}).values()
+    told = {f.name: f.metadata["flag"].help for f in held if "flag" in f.metadata}
+    told |= {a or c: b or d for b, a, c, d in re.findall(FIELD, inspect.getsource(thing))}
+    for title, listed in ("Attributes", told.items()), ("Methods", methods(thing)):
+        if rows := [f"* `{name}`: {about}" for name, about in listed]:
+            yield f"{title}:\n\n" + "\n".join(rows)
 
 
 def entry(name: str) -> Iterator[str]:

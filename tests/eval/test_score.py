@@ -12,8 +12,7 @@ from eval.referee.score import Trial, score
 from eval.replay.run import compare
 from eval.report.publish import trajectory_table, write_run, write_tum
 from eval.score import main
-from tests.eval.test_score_faults import lines as rows_of
-from tests.eval.test_score_faults import scored
+from tests.eval.test_score_faults import lines as rows_of, scored
 from tests.quick import slow
 
 

@@ -7,8 +7,7 @@ from data.inputs import Increments, Prior
 from data.pose_measurements import FixKind
 from eval.replay.run import compare
 from eval.replay.settings import FILTERS, Setup
-from tests.builders.logs import inputs_of as build
-from tests.builders.logs import observations_of
+from tests.builders.logs import inputs_of as build, observations_of
 from tests.ekf.pose_oracle import closures_of, fixes_of, wandering
 
 SCALE, FRAMES = 3e-5, 16

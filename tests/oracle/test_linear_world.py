@@ -14,8 +14,7 @@ from graph.batch import smooth
 from graph.incremental import Isam2Smoother
 from graph.problem import Start
 from tests.builders.estimators import drive
-from tests.builders.logs import increments_of, observations_of
-from tests.builders.logs import inputs_of as build
+from tests.builders.logs import increments_of, inputs_of as build, observations_of
 
 FRAMES, LANDMARKS = 50, 7
 M = np.array([[0.02, 0.006], [0.006, 0.01]])

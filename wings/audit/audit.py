@@ -208,19 +208,10 @@ def contradicting(
     f: linear.Factored, left: IntArray, order: IntArray, level: float, loops: BoolArray, metres: Sequence[IntArray],
     again: tuple[linear.Graph, linear.Values] | None = None, *, steps: int = TURNS, told: Told = unheard,
 ) -> Contradicting | None:  # fmt: skip
-    """One search; None where many factors are rejected and none of them explains much: the noise is wrong then, or
-    after so many `steps`.
-
-    Args:
-        f: the system without `left`.
-        left: numbers of factors to begin without.
-        order: (V,) of elimination.
-        level: logarithm of the p value below which a factor is rejected.
-        loops: (F,) relations of variables that are no neighbours.
-        metres: as of `clusters`.
-        again: graph that is optimized again, from values; without, the linearized problem is solved again.
-        steps: at most.
-        told: each step.
+    """One search, of `left` factors to begin without; None where many are rejected (below the logarithm `level` of p)
+    and none explains much: the noise is wrong; or after so many `steps`. order (V,): of elimination; loops (F,):
+    relations of variables that are no neighbours; metres: as of `clusters`. Solved again is graph `again`, or the
+    linearized one.
     """
     taken, agreeing = Counter[int](), set[int]()
     for turn in range(steps):
@@ -420,17 +411,8 @@ def statistics(
     system: linear.System, keys: Sequence[tuple[int, ...]], of: Kinds, metres: Sequence[IntArray],
     rng: np.random.Generator, draws: int, search: Callable[..., Contradicting | None], told: Told = unheard,
 ) -> Statistics:  # fmt: skip
-    """Statistics of a linearized graph.
-
-    Args:
-        system: the graph around its values.
-        keys: of each factor.
-        of: kinds of the factors.
-        metres: per variable, the components that are a position in m.
-        rng: of the probes.
-        draws: number of draws of the graph's own noise.
-        search: as `contradicting`, which searches the linear problem.
-        told: each stage.
+    """Statistics of a graph linearized around its values; metres: per variable, the components that are a position in
+    m; draws: of the graph's own noise; search: as `contradicting`, of the linear problem.
     """
     order = linear.ordering(system)
     f = linear.factorize(system, order)
@@ -561,13 +543,8 @@ MOST = 512  # directions without information that are looked at
 
 
 def condition(f: linear.Factored, part: IntArray, metres: Sequence[IntArray], shape: Array) -> Condition:
-    """The findings.
-
-    Args:
-        f: the factored system.
-        part: (V,) connected part of each variable.
-        metres: per variable, the components of its tangent that are a position.
-        shape: (N, 4) motion if the graph grows, and three shifts of its centre, as of `growth`.
+    """The findings. part (V,): connected part of each variable; metres: of its tangent, the components of a position;
+    shape (N, 4): motion if the graph grows, and three shifts of its centre, as of `growth`.
     """
     sizes = tuple(sorted(np.bincount(part).tolist(), reverse=True))
     gauge, scale, loose = 0, 0, list[Loose]()

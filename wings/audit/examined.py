@@ -86,22 +86,17 @@ class Scale(NamedTuple):
 class AuditReport:
     """An audit.
 
-    Attributes:
-        factors: a row each, index: number in the graph. keys, kind, dim; chi2 of the whitened residual; redundancy,
-            unchecked; deleted (T), rank, p, p_family (Holm); minimal_error [sigma]; influence_m [m]; p_drawn (draws of
-            the graph's own noise); missed_m [m], motion of its own ends by a just missed error; weight (robust); cost;
-            wrong: without these, if they are few, no other is rejected;
-            resolved_m, resolved_cost: motion and decrease of the graph solved again, NaN where it was not;
-            log10_p, log10_p_family: they rank where p values are 0.
-        kinds: a row each: n, dim, chi2, redundancy, component, se, sigma_factor, unchecked, p, p_family.
-        components: a row for each axis of a kind with diagonal noise.
-        audit: the numbers.
+    Columns of `factors`: index, number in the graph; keys, kind, dim; chi2 of the whitened residual; redundancy,
+    unchecked; deleted (T), rank, p, p_family (Holm); minimal_error [sigma]; influence_m [m]; p_drawn (draws of the
+    graph's own noise); missed_m [m], motion of its own ends by a just missed error; weight (robust); cost; wrong:
+    without these, if they are few, no other is rejected; resolved_m, resolved_cost: motion and decrease of the graph
+    solved again, NaN where it was not; log10_p, log10_p_family: they rank where p values are 0.
     """
 
     factors: pd.DataFrame
-    kinds: pd.DataFrame
-    components: pd.DataFrame
-    audit: Audit
+    kinds: pd.DataFrame  # a row each: n, dim, chi2, redundancy, component, se, sigma_factor, unchecked, p, p_family
+    components: pd.DataFrame  # a row for each axis of a kind with diagonal noise
+    audit: Audit  # the numbers
     minima: tuple[Second, ...] = ()
     questions: tuple[Question, ...] = ()
     unread: tuple[str, ...] = ()

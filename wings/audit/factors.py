@@ -121,14 +121,9 @@ def noncentrality(rank: int) -> float:
 
 
 def holm(log_p: Array, weight: Array | None = None, share: Array | None = None) -> Array:
-    """Family-wise p values of those known, weighted (Holm, Scandinavian Journal of Statistics 6, 1979); NaN stays.
-
-    All are logarithms: they rank where p values are 0.
-
-    Args:
-        log_p: (K,) logarithms of p values.
-        weight: (K,) parts of the level, of any sum; without, equal ones.
-        share: (K,) independent tests over all tests of a kind, as each other's residuals tell of the same errors.
+    """Family-wise p values of those known, weighted (Holm, Scandinavian Journal of Statistics 6, 1979); NaN stays. All
+    are logarithms (K,): they rank where p values are 0. weight (K,): parts of the level, of any sum; share (K,):
+    independent tests over all tests of a kind, as each other's residuals tell of the same errors.
     """
     out = np.full(log_p.shape, np.nan)
     at = np.flatnonzero(~np.isnan(log_p))

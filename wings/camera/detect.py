@@ -10,8 +10,7 @@ from data.terminal import ending
 from eval.plan.flags import texts_of
 
 PROG = "slamref detect"
-LARGEST = 1600
-"""px; longer side of the searched copy of a photo, twice that of the camera frames the detector was tuned for."""
+LARGEST = 1600  # px, longer side of a photo's searched copy, twice that of the camera frames the detector was tuned for
 
 
 @ending()

@@ -30,8 +30,7 @@ Indices = NDArray[np.intp]
 UNIT = 512  # length of a descriptor: 2 (UNIT^2 - a·b) is the squared distance of two
 CONTRAST = 0.02  # SIFT's threshold, half of OpenCV's default, for dim or blurred frames
 FINE_SHARE = 0.5  # largest share of the finest octave (scale below about 1.6 px), which vanishes at a distance
-SQUEEZE = 2.0
-"""Squeeze of the width in a reference's second view: SIFT fails beyond about 45 degrees (ASIFT, Morel and Yu 2009)."""
+SQUEEZE = 2.0  # Of the width in a reference's second view: SIFT fails beyond some 45 degrees (ASIFT, Morel and Yu 2009)
 RATIO = 0.85  # Lowe's ratio test against the second nearest of all pictures (IJCV 2004, section 7.1 takes 0.8)
 SAME_SPOT = 5.0  # px in the reference; nearer features are of one spot
 GUIDED_RADIUS = 4.0  # px, largest distance of a guided match from its predicted place
@@ -126,15 +125,13 @@ def _distinct(nearest: Array, second: NDArray[Any]) -> BoolArray:
 
 def guided_match(H: Array, reference: Features, scene: Features) -> tuple[Indices, Indices]:
     """Pairs (picture, scene) of features near their place by `H`, of similar scale and descriptor; mutual nearest."""
-    place, stretch = project(H, reference.place), magnification(H, reference.place)
-    low, high = place.min(axis=0) - GUIDED_RADIUS, place.max(axis=0) + GUIDED_RADIUS
+    at, stretch = project(H, reference.place), magnification(H, reference.place)
+    low, high = at.min(axis=0) - GUIDED_RADIUS, at.max(axis=0) + GUIDED_RADIUS
     near = np.flatnonzero(np.all((scene.place >= low) & (scene.place <= high), axis=1))
-    off_x, off_y = (np.abs(place[:, k : k + 1] - scene.place[near, k]) for k in (0, 1))
+    off_x, off_y = (np.abs(at[:, k : k + 1] - scene.place[near, k]) for k in (0, 1))
     i, j = np.nonzero((off_x < GUIDED_RADIUS) & (off_y < GUIDED_RADIUS))
     ratio = scene.scale[near[j]] / (stretch * reference.scale)[i]
-    close = (
-        (np.linalg.norm(place[i] - scene.place[near[j]], axis=1) < GUIDED_RADIUS) & (ratio > 0.6) & (ratio < 1 / 0.6)
-    )
+    close = (np.linalg.norm(at[i] - scene.place[near[j]], axis=1) < GUIDED_RADIUS) & (ratio > 0.6) & (ratio < 1 / 0.6)
     i, j = i[close], j[close]
     if not len(i):
         return i, j
@@ -232,8 +229,7 @@ MAX_TAPER = 3.0  # ratio of opposite sides, of a picture much nearer than its si
 MAX_SQUEEZE = 4.0  # ratio of foreshortened to other side: obliquity of about 75 degrees
 MIN_ANGLE = 20.0  # degrees, of a corner in the image
 MAX_SIZE_ERROR = 0.15  # relative error of sides and diagonals against the survey
-MAX_OFF_PLANE = 0.06
-"""Relative error of depths against the fitted plane: three standard deviations of stereo at a few metres."""
+MAX_OFF_PLANE = 0.06  # Relative error of depths against the fitted plane: three sigma of stereo at a few metres
 MIN_VALID = 0.2  # share of the picture's pixels with depth
 MIN_ON_PLANE = 0.6  # share of those on the plane
 WINDOW = (2, 4, 7, 12)  # px, half widths of the window of depths at a corner, widened until enough points are valid
@@ -396,14 +392,8 @@ class Detected:
 
 
 class Detector:
-    """Detects the pictures of a set of reference images.
-
-    Args:
-        references: RGB images (h, w, 3) uint8, each exactly one picture.
-        widths: (L,) m, as surveyed; None if unknown, then sizes are not checked.
-
-    Raises:
-        DataError: no reference image, one with too few features, or a wrong number of widths.
+    """Detects the pictures of reference images (h, w, 3), RGB, uint8, each exactly one picture, `widths` (L,) [m] as
+    surveyed (None: unknown, not checked). DataError: no image, one with too few features, or a wrong number of widths.
     """
 
     def __init__(self, references: list[Image], widths: Array | None = None) -> None:

@@ -21,7 +21,7 @@ from data.pictures import COMMAND_SIGMA, CORNERS, VisualSetup
 from data.se2 import Array
 from data.sensors import RelativePoint
 from data.truth import Truth
-from data.worlds.parameters import check_parameters, drawn_prior, streams
+from data.worlds.parameters import check_parameters, drawn_prior, streams, told
 
 MAY_BE_ZERO = (
     *("motifs", "sigma_v", "sigma_omega", "prior_sigma", "prior_sigma_heading", "brightness", "contrast", "exposure"),
@@ -31,77 +31,54 @@ MAY_BE_ZERO = (
 
 @dataclass(frozen=True)
 class Gallery:
-    """Parameters of world, robot, camera and rendering. UsageError for an invalid value, or pictures or path that do
-    not fit.
+    """Parameters of world, robot, camera and rendering. UsageError for an invalid value, or what does not fit."""
 
-    Attributes:
-        duration: s; rate: Hz of the frames, and of the commands.
-        pictures: their number, shared out over the four walls by length; motifs: number of different ones, which then
-            repeat (0: all).
-        room_length, room_width, room_height: m.
-        picture_width, picture_height: m; spacing: m, between the middles of neighbours on a wall; each is shifted by up
-            to a tenth of the gap.
-        hang: m, height of the pictures' middles, give or take 5 cm.
-        wall_distance: m, from the loop to the long walls, which fixes the radius of its turns; end_distance: m, to the
-            short ones.
-        speed: m/s on the straights; turn_rate: rad/s in the turns, which go to the left (both to a whole frame).
-        sigma_v: m/s, sigma_omega: rad/s, noise of each recorded command.
-        prior_sigma: m, prior_sigma_heading: rad; the prior mean is drawn with them.
-        camera_x, camera_y: m, camera in the body; camera_height: m; camera_yaw: rad, its view from straight ahead.
-        image_width, image_height: px; field_of_view: rad, horizontal.
-        max_distance: m, max_obliquity: rad; farther or more oblique pictures do not count as in view.
-        sigma_x, sigma_z: m, noise of a corner's coordinates in logs without images.
-        reference_width: px, of a picture's own image.
-        brightness: grey levels, contrast: 1, standard deviations of a frame's offset and gain.
-        exposure: s, length of the motion blur. image_noise: grey levels, of each colour of a pixel.
-        baseline: m, of the stereo pair; disparity_noise: px (sigma_z = z^2 sigma_d / (f b)); disparity_step: px,
-            rounding of disparities; smear: px, over which their noise is correlated.
-        patches: holes per frame, at random places. edge_hole: px to either side of a picture's outline without depth.
-        least_texture: grey levels per px, mean gradient below which stereo finds nothing. 0 turns any of these off.
-    """
-
-    duration: float = 60.0
-    rate: float = 6.0
-    pictures: int = 8
-    motifs: int = 0
-    room_length: float = 7.0
-    room_width: float = 5.2
-    room_height: float = 2.6
-    picture_width: float = 0.7
-    picture_height: float = 0.525
-    spacing: float = 1.5
-    hang: float = 1.15
-    wall_distance: float = 2.3
-    end_distance: float = 2.2
-    speed: float = 0.3
-    turn_rate: float = 0.6
-    sigma_v: float = 0.01
-    sigma_omega: float = math.radians(4.0)
-    prior_sigma: float = 0.03
-    prior_sigma_heading: float = math.radians(2.0)
-    camera_x: float = 0.12
-    camera_y: float = -0.08
-    camera_height: float = 1.1
-    camera_yaw: float = math.radians(-80.0)
-    image_width: int = 640
-    image_height: int = 480
-    field_of_view: float = math.radians(60.0)
-    max_distance: float = 3.0
-    max_obliquity: float = math.radians(50.0)
-    sigma_x: float = 0.02
-    sigma_z: float = 0.05
-    reference_width: int = 600
-    brightness: float = 8.0
-    contrast: float = 0.08
-    exposure: float = 0.01
-    image_noise: float = 2.0
-    baseline: float = 0.12
-    disparity_noise: float = 0.25
-    disparity_step: float = 0.0625
-    smear: float = 1.5
-    patches: int = 6
-    edge_hole: int = 1
-    least_texture: float = 0.3
+    duration: float = told(60.0, "s")
+    rate: float = told(6.0, "Hz of the frames, and of the commands")
+    pictures: int = told(8, "their number, shared out over the four walls by length")
+    motifs: int = told(0, "number of different ones, which then repeat (0: all)")
+    room_length: float = told(7.0, "m")
+    room_width: float = told(5.2, "m")
+    room_height: float = told(2.6, "m")
+    picture_width: float = told(0.7, "m")
+    picture_height: float = told(0.525, "m")
+    spacing: float = told(
+        1.5, "m, between the middles of neighbours on a wall; each is shifted by up to a tenth of the gap"
+    )
+    hang: float = told(1.15, "m, height of the pictures' middles, give or take 5 cm")
+    wall_distance: float = told(2.3, "m, from the loop to the long walls, which fixes the radius of its turns")
+    end_distance: float = told(2.2, "m, to the short ones")
+    speed: float = told(0.3, "m/s on the straights")
+    turn_rate: float = told(0.6, "rad/s in the turns, which go to the left (both to a whole frame)")
+    sigma_v: float = told(0.01, "m/s")
+    sigma_omega: float = told(math.radians(4.0), "rad/s, noise of each recorded command")
+    prior_sigma: float = told(0.03, "m")
+    prior_sigma_heading: float = told(math.radians(2.0), "rad; the prior mean is drawn with them")
+    camera_x: float = told(0.12, "m, camera in the body")
+    camera_y: float = told(-0.08, "m, camera in the body")
+    camera_height: float = told(1.1, "m")
+    camera_yaw: float = told(math.radians(-80.0), "rad, its view from straight ahead")
+    image_width: int = told(640, "px")
+    image_height: int = told(480, "px")
+    field_of_view: float = told(math.radians(60.0), "rad, horizontal")
+    max_distance: float = told(3.0, "m")
+    max_obliquity: float = told(math.radians(50.0), "rad; farther or more oblique pictures do not count as in view")
+    sigma_x: float = told(0.02, "m, noise of a corner's coordinates in logs without images")
+    sigma_z: float = told(0.05, "m, noise of a corner's coordinates in logs without images")
+    reference_width: int = told(600, "px, of a picture's own image")
+    brightness: float = told(8.0, "grey levels")
+    contrast: float = told(0.08, "1, standard deviations of a frame's offset and gain")
+    exposure: float = told(0.01, "s, length of the motion blur")
+    image_noise: float = told(2.0, "grey levels, of each colour of a pixel")
+    baseline: float = told(0.12, "m, of the stereo pair")
+    disparity_noise: float = told(0.25, "px (sigma_z = z^2 sigma_d / (f b))")
+    disparity_step: float = told(0.0625, "px, rounding of disparities")
+    smear: float = told(1.5, "px, over which their noise is correlated")
+    patches: int = told(6, "holes per frame, at random places")
+    edge_hole: int = told(1, "px to either side of a picture's outline without depth")
+    least_texture: float = told(
+        0.3, "grey levels per px, mean gradient below which stereo finds nothing. 0 turns any of these off"
+    )
 
     def __post_init__(self) -> None:
         signed = ("camera_x", "camera_y", "camera_yaw")

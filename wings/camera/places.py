@@ -250,13 +250,11 @@ def _cloud(camera: Camera, keys: Sequence[KeyFrame], increments: Increments) -> 
     return None
 
 
-def _likelihoods(
-    own: Sequence[Candidate], density: Sequence[float], chance: float, increments: Increments
-) -> list[float]:
+def _likelihoods(own: Sequence[Candidate], density: Sequence[float], chance: float, motion: Increments) -> list[float]:
     """That each candidate of a key frame is right, against chance and those that place it elsewhere."""
     shares = []
     for one, d in zip(own, density, strict=True):
-        against = sum(e for other, e in zip(own, density, strict=True) if e > 0.0 and _apart(one, other, increments))
+        against = sum(e for other, e in zip(own, density, strict=True) if e > 0.0 and _apart(one, other, motion))
         shares.append(d / (d + chance + against))
     return shares
 

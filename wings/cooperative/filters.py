@@ -25,8 +25,7 @@ from data.se2 import Array, BoolArray, wrap_angle
 from ekf.kernels import predict
 from wings.cooperative.team import Team
 
-WEIGHTS = np.linspace(0.01, 0.99, 99)
-"""Of covariance intersection; each is conservative, so the best one need not be met exactly."""
+WEIGHTS = np.linspace(0.01, 0.99, 99)  # Of covariance intersection; each is conservative, so a grid is enough
 
 
 @dataclass(frozen=True)

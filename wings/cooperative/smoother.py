@@ -45,18 +45,10 @@ def smooth_team(
     team: Team, known: LandmarkMap | None, landmark: Sequence[IntArray], sighted: Sequence[IntArray],
     start: Sequence[Array], places: dict[int, Array],
 ) -> TeamSmoothed:  # fmt: skip
-    """The joint maximum a posteriori estimate.
+    """The joint maximum a posteriori estimate. UnderConstrained: what is not determined, or without convergence.
 
-    Args:
-        team: all robots.
-        known: the map; None: SLAM.
-        landmark: of each robot, map id or label of each of its observations (M,), or `DISCARD`.
-        sighted: of each robot, number of the robot of each of its encounters (s,), or `DISCARD`.
-        start: poses (N, 3) of each robot.
-        places: start of each landmark (2,) by label, in SLAM.
-
-    Raises:
-        UnderConstrained: naming what is not determined, or without convergence.
+    Of each robot: landmark, map id or label of each observation (M,), and sighted, the robot of each encounter (s,), or
+    `DISCARD`; start, poses (N, 3). places: start of each landmark (2,) by label, in SLAM.
     """
     first = np.append(0, np.cumsum([len(m) for m in team.members]))
     every, own = list[factors.Factor](), list[tuple[int, Array | gtsam.Pose2]]()

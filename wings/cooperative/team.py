@@ -43,8 +43,7 @@ class Team:
     instant: tuple[IntArray, ...]  # (n,) the instant of each frame of each robot
     encounters: Encounters  # of robots by robots
     sensed: bool = False  # the labels come from a sensor
-    frame: IntArray = field(init=False, repr=False)
-    """(n, T) the frame of each robot at each instant, -1: none."""
+    frame: IntArray = field(init=False, repr=False)  # (n, T) the frame of each robot at each instant, -1: none
 
     def __post_init__(self) -> None:
         frame = np.full((len(self.members), len(self.time)), -1, np.int64)

@@ -13,27 +13,19 @@ from data.log import Log
 from data.se2 import Array
 from data.truth import Truth
 from data.worlds.arena import Arena, observe
-from data.worlds.parameters import NAMES, drawn_prior, driven, streams
+from data.worlds.parameters import NAMES, drawn_prior, driven, streams, told
 from wings.cooperative.team import EXCHANGES, TeamInputs, team_of
 
 
 @dataclass(frozen=True)
 class Team(Arena):
-    """Parameters of the world; those of the arena hold for each robot.
+    """Parameters of the world; those of the arena hold for each robot."""
 
-    Attributes:
-        robots: their number.
-        robot: whose log it is, from 1.
-        exchange: how they share estimates: joint, naive, intersection or alone.
-        landmarks: number of point landmarks; few, so that the robots need each other.
-        encounter: probability that a robot in view is reported.
-    """
-
-    landmarks: int = 2
-    robots: int = 5
-    robot: int = 1
-    exchange: str = "joint"
-    encounter: float = 1.0
+    landmarks: int = told(2, "number of point landmarks; few, so that the robots need each other")
+    robots: int = told(5, "their number")
+    robot: int = told(1, "whose log it is, from 1")
+    exchange: str = told("joint", "how they share estimates: joint, naive, intersection or alone")
+    encounter: float = told(1.0, "probability that a robot in view is reported")
 
     positive: ClassVar[tuple[str, ...]] = (*Arena.positive, "robots", "robot")
     choices: ClassVar[Mapping[str, tuple[str, ...]]] = {**Arena.choices, "exchange": EXCHANGES}

@@ -9,8 +9,7 @@ import numpy as np
 from association.decide import known_decisions
 from data.inputs import FrameObservations, Inputs
 from data.worlds.arena import Arena, simulate
-from eval.checks import exactness as exact
-from eval.checks import worlds
+from eval.checks import exactness as exact, worlds
 from eval.replay.external.adapter import Loaded
 from wings.grade.parts import First, Outcome, Part
 

@@ -29,8 +29,7 @@ NAMES = {
 }  # fmt: skip
 JCBB = ("jcbb-first", "jcbb")  # the lab's JCBB, and what stands for it where that was not run
 METHODS = ("known", "nn", "singles", "jcbb-first", "jcbb", "jcbb-hindsight")
-OWN_DECISIONS = ("ekf", "isam2")
-"""Estimators whose decisions answer the questions, the first of them that reached its end."""
+OWN_DECISIONS = ("ekf", "isam2")  # Estimators whose decisions answer the questions, the first that reached its end
 
 
 @dataclass(frozen=True)

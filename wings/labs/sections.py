@@ -474,15 +474,13 @@ class Times(NamedTuple):
     maintenance: Array
 
 
-def update_times(
-    log: Log, estimator: str, association: str, setups: Sequence[Setup], repeats: int = REPEATS
-) -> list[Times]:
+def update_times(log: Log, estimator: str, method: str, setups: Sequence[Setup], repeats: int = REPEATS) -> list[Times]:
     """Time of each frame's update in SLAM and of map maintenance, for each setup: the least of `repeats`, in turns."""
-    inputs = log.inputs(labels=association == "known").without_map()
+    inputs = log.inputs(labels=method == "known").without_map()
     measured = np.zeros((repeats, len(setups), 2, len(inputs)))
     for turn in measured:
         for setup, seconds in zip(setups, turn, strict=True):
-            front = front_end(estimator, association, inputs, setup)
+            front = front_end(estimator, method, inputs, setup)
             for k in range(len(inputs)):  # as `eval.replay.run` drives it
                 frame = inputs.frame(k)
                 front.move(frame)

@@ -35,8 +35,7 @@ def no_odometry(log: Log, scans: Scans) -> list[Notice]:
 CHANGED = 0.1  # Least share of beams whose range changes by a tenth between distant scans of a robot that moves
 
 
-STRIDE, SPEED = 3.0, 10.0
-"""m between two scans, and m/s (90th percentiles of those that move), from which on another unit is tried."""
+STRIDE, SPEED = 3.0, 10.0  # m between two scans, m/s (90th percentiles of those that move) for another unit to be tried
 SURELY = 20.0  # m between two scans, from which on no robot drives: its scans would not overlap
 UNITS = {"cm": 0.01, "mm": 0.001}
 

@@ -39,8 +39,7 @@ from wings.laser.scans.occupancy import Grid, occupancy_grid
 from wings.laser.score import mapped, wrong_closures
 
 UNKNOWN_GREY, FREE_GREY = 0.85, 1.0
-RARE = 0.005
-"""Share of the known cells that may be left out at each edge: a beam through a window does not squash the picture."""
+RARE = 0.005  # Share of known cells that may be left out at each edge: a beam through a window squashes no picture
 END_COLOUR = "#F0E442"
 AROUND = 1.0  # m of the plan about what is shown
 LOOP_STATES: dict[str, tuple[str, Line, float]] = {

@@ -28,8 +28,7 @@ SLIP = 0.005  # m per sqrt(m) of a wheel's travel, as of the simulated robot (`w
 FEWEST = 5  # fewest readings of a line: two fix it, three check it
 LONGEST = 0.8  # m, longest travel of either wheel since the oldest reading of a line
 OLDEST = 64  # most packets kept: 16 s
-VAGUEST = 0.05
-"""rad, largest standard deviation of alpha from sonar noise; the fewest readings, 5.5 cm apart, give 0.03."""
+VAGUEST = 0.05  # rad, largest sigma of alpha from sonar noise; the fewest readings, 5.5 cm apart, give 0.03
 MISSES = 2  # consecutive packets without an echo that end a sonar's collection
 GOOD = 0.7  # smallest mean weight of a line's readings; good ones weigh 0.9, so one in five may be an outlier
 RESIDUAL = 2.0  # sigmas, largest RMS residual of readings of one wall

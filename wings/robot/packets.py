@@ -42,8 +42,7 @@ AHEAD, RIGHT = 0, 6  # rows of `SONARS`
 
 CONE_HALF_ANGLE = math.radians(7.5)
 """rad. A sonar measures the nearest point inside its cone of 15 degrees, not that point's direction."""
-TIMEOUT_MM = 4000
-"""mm, the distance that stands for "no echo". Eight echoes of 5.8 us/mm x 4000 mm fit into a cycle of 0.25 s."""
+TIMEOUT_MM = 4000  # The distance for "no echo": eight echoes of 5.8 us/mm x 4000 mm fit into a cycle of 0.25 s
 LONGEST_RANGE = TIMEOUT_MM / 1000.0  # m
 
 WHEEL_BASE = 0.25  # m, track width

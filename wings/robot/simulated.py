@@ -132,8 +132,7 @@ def clearance(room: Room, point: Array) -> float:
 
 
 LAG = 0.1  # s, time constant of the motor: a geared motor of 6 V with a 65 mm wheel
-FULL_SPEED = 1.25 * protocol.FASTEST_WHEEL
-"""m/s of the rim at full duty without load: 25 % above the limit, as reserve of the loop."""
+FULL_SPEED = 1.25 * protocol.FASTEST_WHEEL  # m/s of the rim at full duty without load: 25 % as reserve of the loop
 RESPONSE = 0.05  # s, time constant of the closed loop: half the motor's, five steps of 0.01 s
 PROPORTIONAL = LAG / (FULL_SPEED * RESPONSE)  # duty per m/s
 INTEGRAL = 1.0 / (FULL_SPEED * RESPONSE)  # duty per m

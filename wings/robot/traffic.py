@@ -271,9 +271,7 @@ class Stream(ABC):
         self.faults[GARBAGE] += len(self._refused) + 1 - len(row)
         self._refused, self._last = [], row[-1]
         last = len(row) - 1
-        return [
-            self._unwrapper.packet(*each, joined or i > 0, scan if i == last else None) for i, each in enumerate(row)
-        ]
+        return [self._unwrapper.packet(*one, joined or i > 0, scan if i == last else None) for i, one in enumerate(row)]
 
 
 class Unframed(Stream):

@@ -19,8 +19,7 @@ from data.se2 import Array, wrap_angle
 from wings.robot.packets import CONE_HALF_ANGLE
 
 SIGMA = 0.005  # m, standard deviation of a distance, as of the simulated sonars (`wings.robot.simulated`)
-MIRROR = math.radians(15.0)
-"""rad, largest angle between an echo and the wall's normal at which a smooth wall returns the sound."""
+MIRROR = math.radians(15.0)  # rad, largest angle between an echo and the wall's normal that a smooth wall returns
 WELSCH = 2.985
 """Standard deviations. The weight exp(-(d / (WELSCH sigma))^2) has 95 % efficiency on normal errors (Holland and Welsch
 1977)."""

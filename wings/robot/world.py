@@ -5,7 +5,7 @@ with; none: clutter.
 """
 
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from data.inputs import CLUTTER, Inputs, IntArray, LandmarkMap
 from data.log import Log
 from data.se2 import Array, between, wrap_angle
 from data.truth import Truth
-from data.worlds.parameters import check_parameters
+from data.worlds.parameters import check_parameters, told
 from wings.robot.driving import WallFollower
 from wings.robot.log import SENSOR, Framing, Noise, inputs_of
 from wings.robot.packets import PERIOD
@@ -28,25 +28,17 @@ standard deviation is at most 0.05 rad (`observe.VAGUEST`)."""
 
 @dataclass(frozen=True)
 class Walls:
-    """Parameters of the world; the log states the true noise. Raises UsageError for a value out of range.
+    """Parameters of the world; the log states the true noise. Raises UsageError for a value out of range."""
 
-    Attributes:
-        frames: packets, four a second; 1200 are five minutes.
-        room: seed of the room, 0 is 10 x 6 m with two boxes; that of the log if left out.
-        slip: m per sqrt(m) of a wheel's travel, standard deviation, independent per wheel.
-        range_sigma: m, standard deviation of a sonar's distance.
-        dropout: share of echoes that are missed.
-        crosstalk: share of readings that are the echo of another sonar's ping.
-        fit: of walls, see `wings.robot.walls.FITS`.
-    """
-
-    frames: int = 1200
-    room: int | None = field(default=None, metadata={"default": "the seed"})
-    slip: float = Physics.slip
-    range_sigma: float = Physics.range_sigma
-    dropout: float = Physics.dropout
-    crosstalk: float = Physics.crosstalk
-    fit: str = USUAL_FIT
+    frames: int = told(1200, "packets, four a second; 1200 are five minutes")
+    room: int | None = told(
+        None, "seed of the room, 0 is 10 x 6 m with two boxes; that of the log if left out", default="the seed"
+    )
+    slip: float = told(Physics.slip, "m per sqrt(m) of a wheel's travel, standard deviation, independent per wheel")
+    range_sigma: float = told(Physics.range_sigma, "m, standard deviation of a sonar's distance")
+    dropout: float = told(Physics.dropout, "share of echoes that are missed")
+    crosstalk: float = told(Physics.crosstalk, "share of readings that are the echo of another sonar's ping")
+    fit: str = told(USUAL_FIT, "of walls, see wings.robot.walls.FITS")
 
     def __post_init__(self) -> None:
         check_parameters("walls", self, positive=("frames", "range_sigma"), choices={"fit": FITS})

@@ -57,8 +57,7 @@ def made_increasing(stamp: Array) -> Array:
     return time
 
 
-SPEED, TURN_RATE = 0.3, 0.7
-"""m/s, rad/s; standard deviations of what an unknown motion changes by, times the time between frames."""
+SPEED, TURN_RATE = 0.3, 0.7  # m/s, rad/s, sigmas of an unknown motion's changes, times the time between frames
 BURST = 0.1  # Share of the mean time between frames, and of shorter ones, from which on stamps come in bursts
 
 

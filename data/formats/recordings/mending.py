@@ -177,8 +177,7 @@ NEXT = 9  # Stamps after one, whose middle it is compared with
 JUMP = 60.0  # s, by which a stamp exceeds the next ones if its clock is broken; buffers delay by seconds
 BACK = 1.0  # s, from which on a step back is no burst
 OFTEN = 5  # Steps back that say so where no path does
-SHORTER = 0.9
-"""Length of the path in the order of the stamps per length in that of the file, below which lines are out of order."""
+SHORTER = 0.9  # Length of the path by the stamps, as a share of that by the lines, below which lines are out of order
 
 
 def stamps_back(pose: Array, stamp: Array) -> list[Notice]:

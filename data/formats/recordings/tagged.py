@@ -67,14 +67,10 @@ def load_dlr(path: Path, name: str) -> Log:
 
 
 def load_course(path: Path, name: str, world: Path | None, turns: ArrayLike, seen_sigma: ArrayLike) -> Log:
-    """The log of a course, ids as labels and true ids. DataError with line and value.
+    """The log of a course, ids as labels and true ids, with its known map, if `world` is its file. DataError with line
+    and value.
 
-    Args:
-        path: of the steps and landmarks.
-        name: of the log.
-        world: file of the known map, or None.
-        turns: standard deviations (3,) of r1 [rad], t [m], r2 [rad] of each step.
-        seen_sigma: of range [m] and bearing [rad] (2,).
+    turns (3,): standard deviations of r1 [rad], t [m], r2 [rad] of a step; seen_sigma (2,): of range [m] and bearing.
     """
     (step, seen), frame = tables_of(path, COURSE)
     ahead = seen.get("range") >= 0.0  # a noisy range of a landmark beside the robot may be negative

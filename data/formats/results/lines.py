@@ -319,10 +319,8 @@ def read_kitti(text: Text, manner: paths.Manner) -> paths.GivenPath:
         raise DataError.at(file, "no KITTI pose (no rotation); name columns: --columns x=2,y=3", line=text.line[bad[0]])
     usual = manner.axes is None and not stamped
     axes = "a camera's axes" if usual else f"a {manner.axes or 'robot'}'s axes"
-    kind, stated = f"KITTI poses in {axes}, {clock.words}", paths.Stated(axes=usual)
-    return on_plane(
-        paths.Spatial(file, kind, time, rows[:, :, 3], R, None, "", text.place, stated, notes, clock), manner
-    )
+    kind, said = f"KITTI poses in {axes}, {clock.words}", paths.Stated(axes=usual)
+    return on_plane(paths.Spatial(file, kind, time, rows[:, :, 3], R, None, "", text.place, said, notes, clock), manner)
 
 
 FLAT = 4.0  # Times as long as the height of a path is its way in a camera's axes, at least

@@ -18,8 +18,7 @@ from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean
 from data.formats.arrays import is_arrays
 from data.formats.messages import file_and_word, whole_names
-from data.formats.results import lines
-from data.formats.results import path as paths
+from data.formats.results import lines, path as paths
 from data.formats.results.bags import file_and_topic, is_bag, read_bag
 from data.formats.results.lines import BLOCKS, ENTRIES, EUROC, POSE, TRIANGLE, UNSTAMPED, Text
 from data.formats.results.path import ABSENT, DATES, DIGITS, LOCAL, MIXED, WORLD, GivenPath, Manner, Stated

@@ -288,9 +288,7 @@ MANY = 50  # First rows, of which one shows whether a column holds lists
 
 
 def _each(rows: Sequence[Sequence[str]]) -> int:
-    """How many numbers each of several observations has, in rows of at least three lengths behind ascending stamps; 0:
-    none, or not known.
-    """
+    """How many numbers each observation has, in rows of three or more lengths behind stamps; 0: none, unknown."""
     count = math.gcd(*(len(row) - 1 for row in rows))
     if count not in (2, 3) or len(set(map(len, rows))) < SLOTS or not all(map(is_number, itertools.chain(*rows))):
         return 0
@@ -341,9 +339,7 @@ def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
 
 
 def _by_stamp(path: Path, tables: Sequence[TextTable]) -> TextTable | None:
-    """The rows of the first table, each with those of the others with the nearest stamps; None where one has none, or
-    where all are the same.
-    """
+    """Rows of the first table, each with the nearest in time of the others; None: one has none, or all are equal."""
     stamps = [[k for k, name in enumerate(t.names) if t.named and {*words_of(name)[0]} & {*STAMP}] for t in tables]
     if not all(len(found) == 1 for found in stamps):
         return None
@@ -591,9 +587,7 @@ PARTS = {
     "truth": TRUE | REFERENCE | {"ground", "vicon", "mocap", "optitrack", "actual"},
 }  # fmt: skip
 """Words in the name of a column, in the singular, that tell the part it is of."""
-COMMANDED = frozenset(
-    ("cmd", "command", "commanded", "control", "input")
-)  # Of speeds that are measured, too, not taken
+COMMANDED = frozenset(("cmd", "command", "commanded", "control", "input"))  # Beside measured speeds not taken
 
 
 def quantity_of(key: str) -> str:
@@ -737,9 +731,7 @@ class Columns:
         return self._in_unit(file, role, quantity, also[0])
 
     def _in_unit(self, file: TextTable, role: str, quantity: str, column: int, *, stated: bool = False) -> int:
-        """The column, which is noted with the unit that its name ends with, where none is stated; of a `stated` column
-        where that is no SI unit.
-        """
+        """The column, noted with the unit in its name if none is stated; of a `stated` one if that is no SI unit."""
         name, key = file.names[column], f"{role}.{quantity}"
         note = f"{file.path.name}: {quantity} of {role} is read from {name}"
         unit, dimension, said = words_of(name)[1] * ("+" not in name), QUANTITIES[quantity], not stated
@@ -829,10 +821,8 @@ class Columns:
             known = self.words
             for word in words:
                 known.setdefault(word, len(known))
-        shown = ", ".join(f"{word} is {known[word]}" for word in words[:NAMED])
-        self.notes.append(
-            f"{file.path.name}: landmarks of {file.names[column]}: {shown}{', ...' * (len(words) > NAMED)}"
-        )
+        ids = ", ".join(f"{word} is {known[word]}" for word in words[:NAMED])
+        self.notes.append(f"{file.path.name}: landmarks of {file.names[column]}: {ids}{', ...' * (len(words) > NAMED)}")
         return np.array([float(known.get(text, np.nan)) for text in texts])
 
     def turned(self, file: TextTable, role: str, time: Array, pose: Array) -> Array:

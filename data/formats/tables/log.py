@@ -196,11 +196,9 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
     each, steps = _rows_a_step(file, of, wanted, len(in_turn))
     keys, stamped = ((), False) if each else _instants(file, wanted, role, odometry, ("t",), ("frame",))
     numbers = (*IDS, *(q for q in of.looked if q == appearance.DESCRIPTOR))
-    table, skipped = columns.table(
-        file, role, (*values, *keys), optional=numbers, texts=of.looked, may_be_blank=numbers
-    )
-    if skipped and list(wanted.files.values()).count(file.path) == 1:  # no other role has the file
-        notes.append(f"{file.path.name}: {skipped} rows without an observation")
+    table, left = columns.table(file, role, (*values, *keys), optional=numbers, texts=of.looked, may_be_blank=numbers)
+    if left and list(wanted.files.values()).count(file.path) == 1:  # no other role has the file
+        notes.append(f"{file.path.name}: {left} rows without an observation")
     for quantity, flag in LOOKS.items():
         if quantity not in of.looked and (column := columns.find(file, role, quantity)) is not None:
             columns.read.add((file.path, file.names[column]))
@@ -513,11 +511,9 @@ def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
     columns = wanted.columns
     # a column of that name is something else where no sensor sees a kind
     kind = (KIND,) * (any(of.sensor.sees for of in wanted.sensors) or columns.stated("map", (KIND,)))
-    looked = dict.fromkeys(q for sensor in wanted.sensors for q in sensor.looked)
-    numbers = ("id", "sx", "sy", *(q for q in looked if q == appearance.DESCRIPTOR))
-    table, _ = columns.table(
-        file, "map", ("x", "y"), optional=numbers, texts=(*kind, *looked), may_be_blank=numbers[1:]
-    )
+    looks = dict.fromkeys(q for sensor in wanted.sensors for q in sensor.looked)
+    numbers = ("id", "sx", "sy", *(q for q in looks if q == appearance.DESCRIPTOR))
+    table, _ = columns.table(file, "map", ("x", "y"), optional=numbers, texts=(*kind, *looks), may_be_blank=numbers[1:])
     x, y = se2.transform_points(wanted.map_pose, table.stack(("x", "y"))).T
     placed = {"id": np.arange(len(table), dtype=float), **table.columns, "x": x, "y": y}
     quarters = float(wanted.map_pose[2]) / (0.5 * np.pi)
@@ -692,8 +688,7 @@ MOVED = 1e-3  # m between two fixes from which equal ones are held
 CONCENTRATED, ODD = 0.9, 0.5  # Length of the mean unit vector of angles that agree, at least, and of others, at most
 
 
-NEAR, SURE = 2.0, 3.0
-"""m, way from the start within which observations tell it; largest deviation of these, in sigma."""
+NEAR, SURE = 2.0, 3.0  # m, way from the start within which observations tell it; largest deviation of these, in sigma
 
 
 def _onto_map(

@@ -24,11 +24,10 @@ from data.formats.arrays import is_arrays
 from data.formats.messages import file_and_word
 from data.formats.recordings.laser import TravelNoise
 from data.formats.results.reading import words_of
-from data.formats.tables import files as table_files
+from data.formats.tables import files as table_files, motion
 from data.formats.tables.files import POSE, ROLES, SCANS, SECOND, STAMPED, STARRED, Columns, Given, TextTable, Units
 from data.formats.tables.layout import by_layout, landmarks_in_rows, named_alike, seen_by_layout
 from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of, path_of
-from data.formats.tables.motion import STAMPED as STAMPED_KINDS
 from data.formats.tables.scans import BEAMS
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise
 from data.origin import Origin, Origins
@@ -94,11 +93,9 @@ def numbers_of(given: Mapping[str, object], flag: str) -> Array | None:
     return None if given.get(flag) is None else _numbers(given, flag, dimensions, what, zero)
 
 
-def _numbers(
-    given: Mapping[str, object], flag: str, dimensions: Sequence[str], what: str, zero: bool | None = None
-) -> Array:
+def _numbers(given: Mapping[str, object], flag: str, dims: Sequence[str], what: str, zero: bool | None = None) -> Array:
     """The numbers of a flag, lengths without a unit in that of `--unit length`."""
-    return table_files.numbers(given[flag], dimensions, flag, what, zero=zero, length=str(given.get(LENGTH, "")))
+    return table_files.numbers(given[flag], dims, flag, what, zero=zero, length=str(given.get(LENGTH, "")))
 
 
 def by_sensor(value: object, flag: str) -> dict[str, str]:
@@ -444,7 +441,7 @@ def settle(given: Given) -> Wanted:
             told = f"as {name} is a speed (in rad/s --metres-per-tick is the wheel's radius)"
             columns.notes.append(f"inferred: --ticks rate --metres-per-tick {given['metres-per-tick']}, {told}")
     for flag in ("hold", "integrate"):
-        if flag in given and kind not in STAMPED_KINDS and (flag, given.get("ticks")) != ("hold", "rate"):
+        if flag in given and kind not in motion.STAMPED and (flag, given.get("ticks")) != ("hold", "rate"):
             raise UsageError(f"--{flag} {given[flag]}: for velocities; the odometry has {kind}")
     second, starts = _second(given, texts, columns), "truth" in files and "prior" not in given
     if starts or ("prior" in given and "prior-sigma" not in given):
@@ -607,7 +604,7 @@ def _second(given: Given, texts: Mapping[str, TextTable], columns: Columns) -> S
 def _noise(given: Given, kind: str, notes: list[str], of: str = "odometry") -> Noises:
     """Odometry noise, by the kind of odometry, in flags that begin with `of`; a note where it is assumed."""
     stated = f"{of}-sigma"
-    velocities = kind in STAMPED_KINDS
+    velocities = kind in motion.STAMPED
     default = "density" if velocities else "travel"
     known = ("density", "velocity", "displacement", "textbook") if velocities else ("travel", "step")
     model = str(given.get(f"{of}-noise", default))

@@ -197,8 +197,7 @@ def kind_of(value: object) -> str:
     return f"{'an' if name[0].lower() in 'aeiou' else 'a'} {name}"
 
 
-PASSED = (FilterDivergedError, UnderConstrained, SingularInnovationError, MemoryError)
-"""Errors of our own code, caught elsewhere."""
+PASSED = (FilterDivergedError, UnderConstrained, SingularInnovationError, MemoryError)  # Our own, caught elsewhere
 
 
 class ForeignError(Exception):
@@ -254,17 +253,13 @@ def _brief(value: Any) -> str:
 class Samples(NamedTuple):
     """Pose samples of your own estimator, such as a particle filter, as the return value of its `estimate`.
 
-    Attributes:
-        poses: (n, 3) x, y [m], theta [rad] in the world frame, n > 1.
-        weights: (n,), not normalized; None: equal.
-
     Example:
         >>> samples = slamref.Samples(np.array([[0.0, 0.0, 0.1], [0.2, 0.0, -0.1]]))
         >>> samples.estimate().mean  # array([0.1, 0. , 0. ])
     """
 
-    poses: Array
-    weights: Array | None = None
+    poses: Array  # (n, 3) x, y [m], theta [rad] in the world frame, n > 1
+    weights: Array | None = None  # (n,), not normalized; None: equal
 
     @property
     def effective(self) -> float:

@@ -7,9 +7,7 @@ The odometry errors of the deciding filter (`mapper`) and the pose hypotheses (`
 
 import math
 
-from association.conditional import EXACT_VARIANCE as EXACT_VARIANCE
-from association.conditional import FREEDOM as FREEDOM
-from association.conditional import SAME_PLACE as SAME_PLACE
+from association.conditional import EXACT_VARIANCE as EXACT_VARIANCE, FREEDOM as FREEDOM, SAME_PLACE as SAME_PLACE
 
 # --- Variance scales learned from innovations (noise.py) ------------------------------------------------------------
 

@@ -238,9 +238,7 @@ class Duplicates:
 
 
 class Compared(NamedTuple):
-    """New and old landmarks with their joint statistics; `covisible` (m, n): they cannot be the same, as they
-    were seen together or look different.
-    """
+    """New and old landmarks, their joint statistics; `covisible` (m, n): seen together or of other looks."""
 
     new: Landmarks
     old: Landmarks
@@ -274,21 +272,19 @@ def comparable(slam: EkfSlam, young: list[int], old: list[int], gate: float) -> 
     return list(compress(young, near.any(axis=1))), list(compress(old, near.any(axis=0)))
 
 
-def constellation(
-    slam: EkfSlam, ledger: Ledger, young: list[int], old: list[int], density: float, scale: float
-) -> Pairs:
+def constellation(slam: EkfSlam, ledger: Ledger, new: list[int], old: list[int], density: float, scale: float) -> Pairs:
     """Young landmarks, in the order in which they were last seen, that equal old ones by their relative positions.
     density: landmarks per square metre; scale: learned variance scale.
     """
-    if not young or not old:
+    if not new or not old:
         return []
-    young, gate = young[-constants.WINDOW_MOST :], gate_threshold(constants.WINDOW_GATE)
-    if len(comparable(slam, young, old, gate)[1]) < constants.CONSTELLATION_FEWEST:
+    new, gate = new[-constants.WINDOW_MOST :], gate_threshold(constants.WINDOW_GATE)
+    if len(comparable(slam, new, old, gate)[1]) < constants.CONSTELLATION_FEWEST:
         return []
-    c = compare(slam, ledger, young, old)
+    c = compare(slam, ledger, new, old)
     turn = constants.DISTANCE_SIGMAS * math.sqrt(slam.estimate().covariance[2, 2]) + constants.TURN_MARGIN
     allowed = (c.d2 < gate) & ~c.covisible
-    return [(young[i], old[j]) for i, j in recognize(c.new, c.old, c.cross, allowed, density, turn, scale)]
+    return [(new[i], old[j]) for i, j in recognize(c.new, c.old, c.cross, allowed, density, turn, scale)]
 
 
 def agreeing(

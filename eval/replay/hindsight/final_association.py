@@ -51,7 +51,8 @@ def noise_share(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observati
 def nis_left(
     residual_share: Array, number: IntArray, dof: int, gate: float | None, right: Evidence = NOTHING
 ) -> tuple[float, float]:
-    """Mean and variance per degree of freedom of a smoother's chi-square, of observations that passed two gates.
+    """Mean and variance per degree of freedom of a smoother's chi-square (`dof`) of what passed an online `gate` and
+    the final one, by principal `residual_share` (m, 2) of `graph.optimum.Smoothed`; `right`: what appearance adds.
 
     The final gate g is that of the stated noise. Let x, chi-square with 2 dof, be what leaving an observation out takes
     from the cost, and l the principal shares of the noise in its residual. At an angle f its residual has the square x
@@ -59,13 +60,6 @@ def nis_left(
     section 2.2). What was used stays, and what the online gate c refused returns, if this is below g. If innovations
     online and in the end are the same, the limit of x is c, but between these two. They are not quite, so a little less
     is left out.
-
-    Args:
-        residual_share: (m, 2) principal l of the observations used, as of `graph.optimum.Smoothed`.
-        number: landmark (M,) of every observation, of which m have one.
-        dof: of the smoother.
-        gate: probability of the online gate, None for none.
-        right: what appearance adds to the test of a right pairing.
     """
     times = np.bincount(number[number >= 0], minlength=1)
     angle = np.pi * (np.arange(ANGLES) + 0.5) / ANGLES
@@ -152,9 +146,7 @@ def _nearest(
 
 
 def beginnings(found: Reassociation) -> dict[int, int]:
-    """The observation that each landmark begins with, the surest one. It names the landmark, so an error there
-    would make all its right decisions wrong.
-    """
+    """The surest observation of each landmark, its first: an error there makes all right decisions wrong."""
     rows = np.lexsort((found.misfit, found.number))
     numbers, first = np.unique(found.number[rows], return_index=True)
     return {n: row for n, row in zip(numbers.tolist(), rows[first].tolist(), strict=True) if n >= 0}

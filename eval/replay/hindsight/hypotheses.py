@@ -125,9 +125,7 @@ class DetectionRates:
         return -across - MARGIN
 
     def learn(self, part: IntArray, taken: BoolArray, share: float | Array) -> None:
-        """Landmarks (k,) in bins `part` were in view and detected or not; share: weight of the hypothesis, times the
-        probability of being in view.
-        """
+        """Landmarks (k,) in bins `part`, in view, were detected or not; share: the hypothesis', times P(in view)."""
         np.add.at(self._expected, part, share)
         np.add.at(self._seen, part[taken], np.broadcast_to(share, part.shape)[taken])
 

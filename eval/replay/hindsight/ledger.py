@@ -80,9 +80,7 @@ def add_miss(e: Evidence) -> Evidence:
 
 
 class Visibility(NamedTuple):
-    """Counts over confirmed landmarks in view: detected and missed, after a detection and after a miss. Occlusions
-    last, so misses come in rows.
-    """
+    """Counts over confirmed landmarks in view: detected, missed, after either. Misses come in rows."""
 
     seen_seen: int = 0
     seen_missed: int = 0
@@ -192,9 +190,7 @@ COUNTS = ("seen", "opportunities", "missed")
 
 
 class Ended(NamedTuple):
-    """Landmarks (r,) retracted at the end as transient; those (l,) of the map that left before; and the last
-    observations of those removed from a folded map.
-    """
+    """Landmarks (r,) retracted as transient; (l,) that left the map before; last observations of folded ones."""
 
     transient: IntArray
     left: IntArray

@@ -212,16 +212,12 @@ NOTHING = Handed(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)), n
 
 
 class LocalizingFrontEnd(FrontEnd):
-    """Decides about the observations of a log with a known map, by pose hypotheses, for any estimator. Fixes and
-    closures weigh the hypotheses.
-    """
+    """Decides by pose hypotheses, for any estimator with a known map. Fixes and closures weigh the hypotheses."""
 
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
-        """Check the map and the estimator. Raises UsageError: without a map. Raises CannotError: the estimator has no
-        `reset`.
-        """
+        """Check map and estimator. Raises UsageError: without a map; CannotError: the estimator has no `reset`."""
         if given.map is None:
             raise UsageError("hypotheses of the pose alone need a known map")
         super().__init__(estimator, association, given, setup, options)

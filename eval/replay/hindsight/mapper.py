@@ -140,9 +140,7 @@ class Kidnapping:
             self._scan = moved(self._scan, increment)
 
     def decide(self, filters: TwoModels, frame: Frame, decisions: IntArray) -> Relocated:
-        """Final decisions about a frame whose decisions (m,) the ledger has judged; the filter is inflated if it is
-        lost.
-        """
+        """Final decisions about a frame whose decisions (m,) the ledger has judged; a lost filter is inflated."""
         ledger, slam, kidnapped = self.ledger, filters.believed, None
         if self._alarm(len(decisions), ledger.paired(decisions)):
             kidnapped = unknown = anywhere(slam.xy, ledger.range)

@@ -30,15 +30,8 @@ from eval.replay.settings import MHT, Given, Setup
 
 
 def best_assignments(cost: Array, most: int, slack: float) -> list[tuple[float, IntArray]]:
-    """Assignments of all rows to different columns, cheapest first.
-
-    Args:
-        cost: (m, n), infinite where a row cannot have a column.
-        most: greatest number of assignments.
-        slack: those that cost more than the cheapest one by this are left out.
-
-    Returns:
-        Summed cost and column (m,) of each; empty if every assignment has an infinite cost.
+    """Summed cost and column (m,) of at most `most` assignments of all rows to different columns of `cost` (m, n),
+    infinite where impossible, cheapest first, of finite cost, within `slack` of the cheapest.
     """
     found = list[tuple[float, IntArray]]()
     problems = list[tuple[float, int, IntArray, Array, int]]()  # cost, order, columns; what is allowed, rows fixed

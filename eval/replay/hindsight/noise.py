@@ -123,9 +123,7 @@ class Consecutive(NamedTuple):
 
 
 def paired(sensor: Sensor, every: Sequence[Consecutive]) -> list[Step]:
-    """Observations of two frames that are mutual nearest neighbours under the stated noise. What has no noise leaves no
-    step: it has no share of any.
-    """
+    """Mutual nearest neighbours of two frames under the stated noise. What has no noise has no share of any."""
     parts = zip(*((*c.before, *c.now, *c.motion) for c in every), strict=True)
     old_z, old_R, new_z, new_R = (np.concatenate(next(parts)) for _ in range(4))
     motion, M = (np.stack(each) for each in parts)

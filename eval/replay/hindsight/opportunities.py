@@ -114,14 +114,8 @@ def missing(e: Expectation, decisions: IntArray, sensor: Sensor) -> tuple[BoolAr
 
 
 def recounted(view: Sensor, path: Array, known: LandmarkMap, seen: Observations, number: IntArray) -> dict[int, bytes]:
-    """The opportunities of each landmark of a map in a log, by number, without its first observation.
-
-    Args:
-        view: the sensor, its view that in which observations were made.
-        path: (N, 3) poses.
-        known: the map.
-        seen: observations (M), ascending by frame. A frame without any may have been without the sensor.
-        number: (M,) landmark of each, -1 for none.
+    """The opportunities of each landmark of a map in a log, by number, without its first observation; `view` is that in
+    which observations (M,) of landmarks `number` (M,), -1 for none, were made. A frame without any may lack the sensor.
     """
     noise, apart = np.median(seen.R, axis=0), constants.SAME_PLACE * view.max_range
     reach = math.hypot(*view.translation) + view.max_range

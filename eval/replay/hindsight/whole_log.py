@@ -86,9 +86,7 @@ class Smoothed:
 
     @cached_property
     def certain(self) -> tuple[IntArray, Array]:
-        """Landmark (M,) of each observation, of those that stay in the map and were observed again; and the
-        log-likelihood (n,) of their opportunities.
-        """
+        """Landmark (M,) of each observation, if it stays and was seen again; log-likelihood (n,) of opportunities."""
         stays = np.isin(self.found.number, self.times[0][self.kept.stays])
         number = observed_again(np.where(stays, self.found.number, DISCARD))
         return number, opportunities.evidence([self.detections[n] for n in np.unique(number[number >= 0]).tolist()])
@@ -174,13 +172,7 @@ Pairs = list[tuple[int, int]]  # landmarks to remove, each with the one that it 
 
 def same_landmarks(sensor: Sensor, path: Array, known: LandmarkMap, seen: Observations, number: IntArray) -> Pairs:
     """Landmarks of a map that equal one with a lower number; each is in one pair at most, the surest pairs come first.
-
-    Args:
-        sensor: its range is that in which observations were made.
-        path: (N, 3) poses.
-        known: the map.
-        seen: observations (M), ascending by frame, with their noise as it is.
-        number: (M,) landmark of each, -1 for none.
+    The sensor's range is that in which observations (M,) of landmarks `number` (M,), -1 for none, were made.
     """
     order = np.argsort(number, kind="stable")
     numbers, begin = np.unique(number[order], return_index=True)
@@ -229,9 +221,7 @@ def _neighbours(xy: Array) -> set[tuple[int, int]]:
 
 
 def log_odds(one: IntArray, other: IntArray, path: Array, apart: float) -> float:
-    """Log odds of one landmark against two, by the frames of their observations. Frames nearer than `apart` [m] to the
-    one that counted before tell nothing new.
-    """
+    """Log odds of one landmark against two, by frames at least `apart` [m] from the one counted before."""
     r = constants.SAME_DETECTED
     alone = -math.log(1.0 - r / (2.0 - r))
     together = math.log(constants.SAME_CHANCE * (2.0 - r) / r)
@@ -244,9 +234,7 @@ def log_odds(one: IntArray, other: IntArray, path: Array, apart: float) -> float
 
 
 class Assumed(NamedTuple):
-    """What the end assumes: the sensor with the field of view in which observations were made, the noise, and odometry
-    errors that are estimated (None: none).
-    """
+    """What the end assumes: field of view of the observations, noise, estimated odometry errors (None: none)."""
 
     view: Sensor
     restated: Restated

@@ -21,8 +21,7 @@ class Film:
         return f"figures/{self.stem}.webm"
 
 
-READING = "How to read this"
-"""Heading of the section that holds the fine print of all tables and figures, each text once."""
+READING = "How to read this"  # Heading of the section with the fine print of all tables and figures, each text once
 LINES = 280  # characters of a caption or a paragraph that stands in front: two lines of 1100 pixels
 
 

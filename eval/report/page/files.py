@@ -14,8 +14,7 @@ import pandas as pd
 from association.names import METHOD_TABLE
 from data.errors import UsageError
 from data.log import folder_name
-from data.words import environment
-from data.words import number as number
+from data.words import environment, number as number
 from eval.figures.figure_style import tex_escape
 from eval.plan.flags.table import Output
 from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from data import se2
 from data.motion.velocity import ARC, HALF_ANGLE, VelocityModel, VelocityNoise, preintegrate, sinc, sinc_slope, step

@@ -7,8 +7,7 @@ import shlex
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from data.errors import UsageError
 from data.formats.open_log import write_folder

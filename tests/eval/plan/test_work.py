@@ -15,9 +15,7 @@ import slamref
 from data.formats.open_log import write_folder
 from data.logs import open_log
 from data.notice import Code
-from eval.plan import console as told
-from eval.plan import first_use, warming
-from eval.plan import work as works
+from eval.plan import console as told, first_use, warming, work as works
 from eval.plan.console import progress, say_kept
 from eval.plan.experiment import estimate, incomplete
 from eval.plan.flags.options import read_options

@@ -2,8 +2,7 @@
 
 import pytest
 
-from data.worlds.corridor import Corridor
-from data.worlds.corridor import simulate as corridor
+from data.worlds.corridor import Corridor, simulate as corridor
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,7 @@ from data.worlds.arena import Arena, simulate
 from data.worlds.registry import named_log
 from ekf import whole_run as epochs
 from eval.referee.score import confusion_of
-from eval.replay import map_management
-from eval.replay import run as replay
+from eval.replay import map_management, run as replay
 from eval.replay.frontend import FrontEnd
 from eval.replay.map_management import MapManagement
 from eval.replay.run import filter_known, step_by_step

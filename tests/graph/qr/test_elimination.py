@@ -4,8 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 from gtsam.symbol_shorthand import X
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from data.motion.systematic import BEARING
 from data.se2 import between

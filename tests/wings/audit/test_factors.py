@@ -4,8 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 from gtsam.symbol_shorthand import X
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.stats import chi2, ncx2
 
 from data.errors import DataError

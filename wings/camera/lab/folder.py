@@ -48,8 +48,7 @@ NEEDS_TRUST = (
     "holds Python objects (a pickle), which can run code when loaded; save plain arrays, "
     "or add --trust-pickle if you trust the file's author"
 )
-UNPICKLING = (pickle.UnpicklingError, ImportError, AttributeError, IndexError, *BROKEN)
-"""Errors of a pickle that cannot be loaded."""
+UNPICKLING = (pickle.UnpicklingError, ImportError, AttributeError, IndexError, *BROKEN)  # No loadable pickle
 SMALL = 2  # most dimensions of arrays that are read whole (timestamps and commands)
 FRAME_FIRST, FIELD_FIRST = "[{frame}][{field!r}]", "[{field!r}][{frame}]"
 
@@ -623,15 +622,9 @@ def open_lab(
 ) -> LabRecording:
     """Open a recording; its configuration and reference images are read, its frames stay on disk.
 
-    Args:
-        folder: holds the configuration, the log and `landmark/`.
-        translation_unit: of camera_to_body.T, which the format does not state: "cm", "mm" or "m".
-        reading: "to-camera": p_c = R p_b + T, the lab's formula; "to-body": p_b = R p_c + T, the name's meaning.
-        trust_pickle: load files of Python objects, which can run code.
-
-    Raises:
-        DataError: a file, field or image is missing, ambiguous or wrong.
-        UsageError: unknown unit or reading.
+    translation_unit: of camera_to_body.T, which the format does not state: "cm", "mm" or "m". reading: "to-camera": p_c
+    = R p_b + T, the lab's formula; "to-body": p_b = R p_c + T, the name's meaning. trust_pickle: load files of Python
+    objects, which can run code. DataError: a file, field or image is missing, ambiguous or wrong.
     """
     if not folder.is_dir():
         raise DataError.at(folder, "not a folder")

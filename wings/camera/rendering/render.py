@@ -58,12 +58,10 @@ def _image(values: Array) -> Image:
     return np.asarray(np.clip(np.rint(values), 0, 255), np.uint8)
 
 
-def _fractal(
-    width: int, height: int, finest: int, rng: np.random.Generator, growth: float = 1.4
-) -> NDArray[np.float32]:
+def _fractal(width: int, height: int, fine: int, rng: np.random.Generator, growth: float = 1.4) -> NDArray[np.float32]:
     """Noise (height, width) of mean 0 and variance 1: octaves from `finest` px up, each `growth` times as strong."""
     total = np.zeros((height, width), np.float32)
-    scale, weight = finest, 1.0
+    scale, weight = fine, 1.0
     while scale < max(width, height):
         coarse = rng.standard_normal((height // scale + 2, width // scale + 2)).astype(np.float32)
         total += weight * cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)

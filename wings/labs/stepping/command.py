@@ -32,8 +32,7 @@ SHARED = (
     replace(TABLE["task"], metavar="NAME", help=TASKS),
     *(TABLE[name] for name in ("gate", "new_gate", "gate_known", "gate_poses", "in_view", "maintain")),
     *(TABLE[name] for name in ("exclude_truth", "keep_truth")),
-)
-"""Flags shared with `slamref run`."""
+)  # Flags shared with `slamref run`
 DEFAULTS = {"association": "jcbb", "estimator": "ekf"}
 
 

@@ -14,8 +14,7 @@ from eval.figures.error import error_figure
 from eval.figures.style import style_of
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.recorder import Observer
-from wings.labs.stepping import pictures
-from wings.labs.stepping import text as texts
+from wings.labs.stepping import pictures, text as texts
 from wings.labs.stepping.problem import FrameSoFar, pose_problem, removed_so_far
 
 

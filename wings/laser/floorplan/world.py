@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -34,7 +34,7 @@ from data.motion.velocity import floor_covariances
 from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
 from data.sensors import RangeBearing
 from data.truth import Truth
-from data.worlds.parameters import check_parameters, drawn_prior, in_degrees, streams
+from data.worlds.parameters import check_parameters, drawn_prior, in_degrees, streams, told
 
 INSIDE = 0.7  # m from the wall to the first place behind a door
 CLEARANCE = 0.5  # m, smallest distance of objects from every path: half a robot and its deviation
@@ -524,15 +524,8 @@ def scan_ranges(
     poses: Array, scanner: Scanner, beams: int, walls: Array, *, glass: BoolArray | None = None,
     discs: Array | None = None,
 ) -> Array:  # fmt: skip
-    """Exact ranges (S, B) [m] from body poses (S, 3) in the world, inf for no return.
-
-    Args:
-        poses: world frame.
-        scanner: its angles, extrinsic and max_range.
-        beams: B.
-        walls: (W, 4) segments x0, y0, x1, y1 [m], world frame.
-        glass: (W,) true where a wall returns nothing, but occludes.
-        discs: (S, D, 3) x, y, radius [m] of discs at each pose; one that contains the scanner is not seen.
+    """Exact ranges (S, B) [m] from body poses (S, 3), inf for no return. walls (W, 4): x0, y0, x1, y1 [m]; glass (W,):
+    it returns nothing, but occludes; discs (S, D, 3): x, y, radius [m] at each pose, none is seen from inside.
     """
     at = compose(np.asarray(poses, float), inverse(np.array([*scanner.translation, scanner.rotation])))
     ranges = np.empty((len(at), beams))
@@ -553,53 +546,30 @@ PERSON, MANNERS = 0.22, 0.6  # m, radius of a person, and smallest distance of p
 
 @dataclass(frozen=True)
 class Floorplan:
-    """Parameters of the world. Angles: radians here, degrees in names and flags. UsageError for an invalid value.
+    """Parameters of the world. Angles: radians here, degrees in names and flags. UsageError for an invalid value."""
 
-    Attributes:
-        glass: some pieces of the walls return nothing.
-        people: people walk about and occlude walls.
-        frames: number of frames.
-        period: s between frames.
-        thin: one of this many frames has a scan, the first included.
-        speed: m/s, along straight lines.
-        turn_rate: rad/s, at most.
-        sigma_along: m per sqrt(s), odometry noise density along the motion.
-        sigma_across: m per sqrt(s), the same across the motion.
-        sigma_turn: rad per sqrt(s), the same of the heading.
-        slip: probability that the wheels slip in a frame.
-        beams: in a scan.
-        field_of_view: deg, from the first beam to one after the last.
-        max_range: m; longer ranges are no return.
-        sigma_range: m, standard deviation of a range.
-        rotation: deg, of the scanner: p_scanner = R p_body + T.
-        translation_x, translation_y: m, T.
-        panes: share of the walls that is of glass, where there is glass.
-        crowd: number of people, where there are people.
-        prior_sigma: m, prior_sigma_heading: rad; the prior mean is drawn with them (0: it is exact).
-    """
-
-    glass: bool = field(default=False, metadata={"hint": "its share of the walls is panes=SHARE"})
-    people: bool = field(default=False, metadata={"hint": "their number is crowd=N"})
-    frames: int = 3000
-    period: float = 0.2
-    thin: int = 1
-    speed: float = 0.5
-    turn_rate: float = 0.6
-    sigma_along: float = 0.02
-    sigma_across: float = 0.007
-    sigma_turn: float = 0.02
-    slip: float = 0.01
-    beams: int = 180
-    field_of_view: float = in_degrees(180.0)
-    max_range: float = 30.0
-    sigma_range: float = 0.015
-    rotation: float = in_degrees(0.0)
-    translation_x: float = 0.0
-    translation_y: float = 0.0
-    panes: float = 0.15
-    crowd: int = 15
-    prior_sigma: float = 0.0
-    prior_sigma_heading: float = 0.0
+    glass: bool = told(False, "some pieces of the walls return nothing", hint="its share of the walls is panes=SHARE")
+    people: bool = told(False, "people walk about and occlude walls", hint="their number is crowd=N")
+    frames: int = told(3000, "number of frames")
+    period: float = told(0.2, "s between frames")
+    thin: int = told(1, "one of this many frames has a scan, the first included")
+    speed: float = told(0.5, "m/s, along straight lines")
+    turn_rate: float = told(0.6, "rad/s, at most")
+    sigma_along: float = told(0.02, "m per sqrt(s), odometry noise density along the motion")
+    sigma_across: float = told(0.007, "m per sqrt(s), the same across the motion")
+    sigma_turn: float = told(0.02, "rad per sqrt(s), the same of the heading")
+    slip: float = told(0.01, "probability that the wheels slip in a frame")
+    beams: int = told(180, "in a scan")
+    field_of_view: float = in_degrees(180.0, "deg, from the first beam to one after the last")
+    max_range: float = told(30.0, "m; longer ranges are no return")
+    sigma_range: float = told(0.015, "m, standard deviation of a range")
+    rotation: float = in_degrees(0.0, "deg, of the scanner: p_scanner = R p_body + T")
+    translation_x: float = told(0.0, "m, T")
+    translation_y: float = told(0.0, "m, T")
+    panes: float = told(0.15, "share of the walls that is of glass, where there is glass")
+    crowd: int = told(15, "number of people, where there are people")
+    prior_sigma: float = told(0.0, "m")
+    prior_sigma_heading: float = told(0.0, "rad; the prior mean is drawn with them (0: it is exact)")
 
     def __post_init__(self) -> None:
         scans = ("beams", "field_of_view", "max_range", "sigma_range")

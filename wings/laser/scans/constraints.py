@@ -18,8 +18,7 @@ NEAR, APART, BESIDE = 3.0, 12, 3
 """m between two key poses whose scans are compared; key poses between them: revisits, and neighbours at most."""
 MOST_PAIRS, LEAST_PAIRS = 300, 10
 MAX_RANGE = 20.0  # m, of beams that are compared
-TOLERANCE = (0.15, 0.03)
-"""m, and share of the range: a doubled wall is farther off, a grazing wall by a right heading is not."""
+TOLERANCE = (0.15, 0.03)  # m, share of the range: a doubled wall is farther off, a grazing wall by a right heading not
 DOUBLED = 0.03
 """Share of beams by which revisits contradict more than neighbours do: at most 0.008 on recorded logs and on simulated
 ones with people and glass; 0.12 where the path of a simulated one drifts by half a metre."""

@@ -48,10 +48,8 @@ class PoseEdges:
 
     def project(self, root: int, wanted: IntArray) -> Array:
         """Covariances (W, 3, 3) of the poses of `wanted` keys (W,) in the frame of `root`, infinite where there is no
-        path. It ends when these are known: what others cost is not paid.
-
-        Each is propagated along the path of least summed variance (Dijkstra 1959): an upper bound of the covariance by
-        all paths together.
+        path. It ends when these are known: what others cost is not paid. Each is propagated along the path of least
+        summed variance (Dijkstra 1959): an upper bound of the covariance by all paths together.
         """
         keys = len(self._head)
         if keys > len(self._work.cost):

@@ -123,11 +123,9 @@ def _with_innovations(run: Run, inputs: Inputs, gate: float | None) -> Run:
     nis, dof = np.zeros(len(inputs)), np.zeros(len(inputs), np.int64)
     np.add.at(nis, closures.later[used], done.nis[used])
     np.add.at(dof, closures.later[used], done.dof[used])
-    mean, variance = truncated_square(gate_threshold(gate, 3), 3)
+    mean, var = truncated_square(gate_threshold(gate, 3), 3)
     formed = Innovations(np.where(dof > 0, nis, np.nan), dof, np.full(len(inputs), np.nan), np.empty((0, 2)))
-    return replace(
-        run, innovations=formed, total_nis=(float(nis.sum()), int(dof.sum())), gated=(mean / 3, variance / 3)
-    )
+    return replace(run, innovations=formed, total_nis=(float(nis.sum()), int(dof.sum())), gated=(mean / 3, var / 3))
 
 
 def trajectory_over_frames(chain: Chain, pose: Array, covariance: Array) -> Trajectory:

@@ -16,8 +16,7 @@ from wings.laser.scans.points import Points, joined
 from wings.laser.scans.uncertainty import PoseEdges, compose_covariances, inverse_covariance, nearest_first
 from wings.laser.slam.parameters import LaserParameters
 
-NO_PRIOR = np.diag([1.0, 1.0, 1.0])
-"""Information [1/m^2, 1/rad^2] that keeps a match solvable in a corridor: one metre, one radian."""
+NO_PRIOR = np.diag([1.0, 1.0, 1.0])  # Information [1/m^2, 1/rad^2] to keep a match in a corridor solvable: 1 m, 1 rad
 
 
 @dataclass

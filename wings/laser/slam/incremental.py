@@ -36,8 +36,7 @@ POINTS = 150  # Points of a scan that are evidence, at most: neighbouring beams 
 
 
 TURNED_WAY = 0.25  # m per rad: the way of a wheel in a turn
-PER_METRE = np.array([1.0, 1.0, 0.5])
-"""m, m, rad per metre of the wheels: backing instead of forward is two standard deviations."""
+PER_METRE = np.array([1.0, 1.0, 0.5])  # m, m, rad per metre of the wheels: backing instead of forward is two sigma
 PER_RADIAN = np.array([0.0, 0.0, 0.5])  # and per radian of their turn
 PER_SECOND = np.array([0.3, 0.3, 0.5])  # pushed, or sliding, with wheels at rest
 LONGEST = 2.0  # s: in a longer time between two scans nothing more is expected
@@ -48,8 +47,7 @@ people can have."""
 NARROW, NARROW_GATE = 0.5 * math.pi, 7.81
 """rad of a view, which a wall or a person can fill: matched at key poses alone, and not against odometry, to a
 chi-square of 95 % (3 dof). People before a depth camera carry a path 1.8 m away otherwise, 0.03 m with it."""
-AGAIN, STEADY = 3.0, 0.2
-"""Log odds of noise against a slip that goes on, and its standard deviation as a share of a slip's."""
+AGAIN, STEADY = 3.0, 0.2  # Log odds of noise against a slip that goes on, and its sigma as a share of a slip's
 
 
 class Travel(NamedTuple):

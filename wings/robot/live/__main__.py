@@ -43,8 +43,7 @@ SHARED = (
     ),
     *(TABLE[name] for name in ("gate", "new_gate", "in_view", "forget_after", "deactivate_after", "lag")),
     replace(TABLE["keyframe_distance"], help="with a lidar: a key pose every M metres (default: 0.4)"),
-)
-"""Flags as in `eval.run_all`, without `--maintain`: a wall is seen in one frame of five."""
+)  # Flags as in `eval.run_all`, without `--maintain`: a wall is seen in one frame of five
 DEFAULTS = {"estimator": "ekf-fej", "association": "jcbb"}
 WITH_LIDAR = {"estimator": f"ekf-fej,{SCAN_ESTIMATOR}", "association": f"jcbb,{SCAN}"}
 REPORT = "-report"

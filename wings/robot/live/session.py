@@ -139,9 +139,7 @@ class Session:
         self, names: Sequence[str], association: str, setup: Setup, noise: Noise = USUAL,
         processed: Callable[[Taken], None] = lambda taken: None, fit: str = USUAL_FIT, scanning: Online | None = None,
     ) -> None:  # fmt: skip
-        """Start; `processed` gets every processed frame, `fit` is of walls (`wings.robot.walls.FITS`), `scanning` is an
-        estimator of scans beside those by walls.
-        """
+        """Start; `processed` gets frames, `fit` is of walls (`walls.FITS`), `scanning` another estimator."""
         self.estimating: list[Online] = [Estimating(name, association, setup) for name in names]
         self.estimating += [] if scanning is None else [scanning]
         self.spent = [Latencies() for _ in self.estimating]  # time of each estimator by frame
@@ -162,8 +160,7 @@ class Session:
         return taken
 
 
-COLUMNS = "frame,t,estimator,x,y,theta,xx,xy,xt,yy,yt,tt"
-"""Pose [m, m, rad] and its covariance; numbers are written without loss."""
+COLUMNS = "frame,t,estimator,x,y,theta,xx,xy,xt,yy,yt,tt"  # Pose [m, rad] and its covariance, written without loss
 
 
 @contextmanager
@@ -243,12 +240,10 @@ def latency_table(titles: Sequence[str], spent: Sequence[Latencies], period: flo
     return lines
 
 
-def status_line(
-    t: float, estimators: Sequence[str], faults: Mapping[str, int], latencies: Latencies, period: float
-) -> str:
+def status_line(t: float, names: Sequence[str], faults: Mapping[str, int], latencies: Latencies, period: float) -> str:
     """The status; `period` [s]: real time between frames, beyond which an estimate is late."""
     counted = ", ".join(f"{name} {count}" for name, count in faults.items() if count)
-    parts = [f"{t:7.1f} s", *estimators, f"link: {counted or 'no faults'}"]
+    parts = [f"{t:7.1f} s", *names, f"link: {counted or 'no faults'}"]
     soon = latencies.within(0.99)
     if math.isfinite(soon):
         parts.append(f"latency {1e3 * latencies.longest:.1f} ms, 99 % < {1e3 * soon:.1f} ms")

@@ -4,15 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy.special import betaln
 
-from eval.replay.hindsight import constants
+from eval.replay.hindsight import constants, opportunities as module
 from eval.replay.hindsight.opportunities import Detections, Kept, Persistence
-from eval.replay.hindsight.opportunities import kinds as kinds_of
-from eval.replay.hindsight.opportunities import persistence as fitted
-from eval.replay.hindsight.opportunities import remaining as kept
 
 
 def four(least, most):
@@ -33,15 +29,15 @@ def kept_at_end(opportunities, observations, spans=None) -> Kept:
     """All landmarks are observed from the beginning to the end of the log, if nothing else is said."""
     n = len(opportunities)
     every = [Detections(s) for s in opportunities]
-    return kept(every, observations, np.tile([0, 1000], (n, 1)) if spans is None else np.array(spans))
+    return module.remaining(every, observations, np.tile([0, 1000], (n, 1)) if spans is None else np.array(spans))
 
 
 def persistence(opportunities):
-    return fitted([Detections(s) for s in opportunities])
+    return module.persistence([Detections(s) for s in opportunities])
 
 
 def kinds(opportunities, p, chance=CHANCE):
-    return kinds_of([Detections(s, chance) for s in opportunities], p)
+    return module.kinds([Detections(s, chance) for s in opportunities], p)
 
 
 def mean(p):

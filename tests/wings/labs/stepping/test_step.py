@@ -15,8 +15,7 @@ from data.logs import open_log
 from eval.referee.plausibility import with_plausibility
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
-from wings.labs.stepping import command as step
-from wings.labs.stepping import pictures
+from wings.labs.stepping import command as step, pictures
 from wings.labs.stepping.command import main
 from wings.labs.stepping.pictures import ImageWriter, picture_axes
 from wings.labs.stepping.stepper import Walk

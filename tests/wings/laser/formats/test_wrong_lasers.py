@@ -7,8 +7,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from data.convert.__main__ import main as convert
-from data.convert.__main__ import parser
+from data.convert.__main__ import main as convert, parser
 from data.errors import DataError, UsageError
 from data.formats.recordings.beams import on_one_set
 from data.formats.recordings.laser import made_increasing, without_odometry

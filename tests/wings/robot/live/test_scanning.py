@@ -16,8 +16,7 @@ from tests.wings.robot.line import linked
 from wings.laser.slam.front_end import run_front_end
 from wings.laser.slam.parameters import LaserParameters
 from wings.robot.driving import WallFollower
-from wings.robot.live.drive import Looking
-from wings.robot.live.drive import drive as drive_on_line
+from wings.robot.live.drive import Looking, drive as drive_on_line
 from wings.robot.live.feed import Feed
 from wings.robot.live.scanning import EVERY, GridPainter, ScanEstimating
 from wings.robot.live.session import Session, latency_table, rehearse

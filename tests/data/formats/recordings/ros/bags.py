@@ -12,8 +12,7 @@ from data.se2 import Array
 
 rosbags = pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'slamref[ros]'")
 from rosbags.rosbag1 import Writer as Writer1  # noqa: E402
-from rosbags.rosbag2 import StoragePlugin  # noqa: E402
-from rosbags.rosbag2 import Writer as Writer2  # noqa: E402
+from rosbags.rosbag2 import StoragePlugin, Writer as Writer2  # noqa: E402
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
 
 FORMS = ("ros1", "sqlite3", "mcap")
