@@ -128,6 +128,15 @@ def test_the_unit_of_lengths_is_that_of_flags_too(rows):
     assert r.increments.covariance[1, 0, 0] == pytest.approx(0.01**2 * SPEED, rel=1e-6)
 
 
+@pytest.mark.parametrize(("names", "more"), [("orientation,qx,qy,qz,qw", ",0,0,1,1"), ("theta,a,b,c,d", "9,0,0,1,1")])
+def test_a_quaternion_is_read_where_a_column_of_headings_is_blank_or_only_the_quaternion_is_stated(rows, names, more):
+    truth = f"t,x,y,{names}\n" + "".join(f"{k},{SPEED * k},0,{more}\n" for k in range(12))
+    words = ("--columns", "truth.qx=a,truth.qy=b,truth.qz=c,truth.qw=d") if names[0] == "t" else ()
+    start = ("--prior", "0,0,0", "--prior-sigma", "0,0,0")
+    log, _ = rows(DRIVE, *words, *start, truth=truth, observations="t,x,y\n1,2,0\n")
+    assert log.truth.pose[:, 2] == pytest.approx(0.5 * np.pi)
+
+
 @pytest.mark.parametrize("truth", [
     "t,x,y\n" + "".join(f"{k},{SPEED * k},0\n" for k in range(12)),
     "t,x,y,theta\n" + "".join(f"{k},{SPEED * k},0,\n" for k in range(12)),
