@@ -884,6 +884,13 @@ class Columns:
         else:
             empty &= not set(quantities) & set(may_be_blank)
         keep = ~(empty | ended)
+        must = [columns[q] for q in quantities if q not in may_be_blank]
+        whole = keep & np.array([all(row[c].lower() not in ("", "nan") for c in must) for row in file.rows], bool)
+        before = keep & (np.arange(len(file)) < np.argmax(whole)) if "t" in quantities else ~keep & keep
+        if before.any():
+            blank = ", ".join(file.names[c] for c in must if any(not file.rows[k][c] for k in np.flatnonzero(before)))
+            self.notes.append(f"{file.path.name}: {counted(int(before.sum()), 'row')} before the first {blank}: left out")
+            keep &= ~before
         if role == "map" or INSTANTS & set(columns):
             whole = role not in ROLES or role == "observations"
             fields = range(len(file.names)) if whole else (*columns.values(), *named.values())
@@ -911,6 +918,10 @@ class Columns:
                     raise DataError.at(file.path, what, line=int(file.line[keep][row]), column=file.names[c])
                 if q in ("range", "bearing"):
                     self.notes.append(f"{file.path.name}: {q} is {said}: was nothing measured there? Leave them out")
+        if role in ("truth", "fixes") and (none := nowhere(np.stack([values[q] for q in "xy" if q in values]))).any():
+            some = f"{counted(int(none.sum()), 'place')} of {role} at 0, 0, far from all others: no message yet, left out"
+            self.notes.append(f"{file.path.name}: {some}")
+            values |= {q: np.where(none, np.nan, values[q]) for q in "xy"}
         if earth:
             place = np.stack([values["y"], values["x"], 0.0 * values["x"]], axis=-1)
             for k, (q, sides) in enumerate((("y", "NS"), ("x", "EW"))):  # the hemisphere, in the next column
@@ -954,9 +965,17 @@ def unmeasured(values: Array) -> tuple[int, int, bool] | None:
     return None
 
 
-REPEATED, BEYOND, LEVELS = 3, 10.0, 20
+def nowhere(place: Array) -> BoolArray:
+    """Which places (2, K) are (0, 0), and farther from all others than `APART` of the largest steps of these."""
+    none: BoolArray = ~np.asarray(place.any(axis=0))
+    rest = place[:, ~none & np.isfinite(place).all(axis=0)]
+    step = np.hypot(*np.diff(rest)).max(initial=0.0) if len(rest) == 2 else 0.0
+    return none & np.bool_(0.0 < APART * step < np.hypot(*rest).min(initial=np.inf))
+
+
+REPEATED, BEYOND, LEVELS, APART = 3, 10.0, 20, 50.0
 """Least number of fields with a value that stands for none; how many times it is as large, or as frequent, as any
-other; least number of different values.
+other; least number of different values; how many steps places at 0, 0 that stand for none are away.
 """
 
 
