@@ -101,6 +101,11 @@ class TextTable:
             found.setdefault(column.index("") if "" in column else len(column), []).append(name)
         return found if len(found) > 1 else {}
 
+    def beside(self, name: str, number: IntArray) -> Self:
+        """With one more column, of a number (K,) for each row."""
+        rows = tuple((*row, str(k)) for row, k in zip(self.rows, number.tolist(), strict=True))
+        return replace(self, names=(*self.names, name), rows=rows)
+
     @cached_property
     def filled(self) -> tuple[int, ...]:
         """The columns with a field that is not blank."""
@@ -400,7 +405,9 @@ def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
     line = np.repeat(file.line, list(map(len, seen)))
     names = (*(file.names[j] for j in rest), *patterns, *["label"] * own)
     lost = sum(distance <= 0.0 for each in far for distance in each)
-    return replace(file, names=names, rows=tuple(rows), line=line, named=True, cut=nothing_there(lost, len(rows)) * bool(lost))
+    return replace(
+        file, names=names, rows=tuple(rows), line=line, named=True, cut=nothing_there(lost, len(rows)) * bool(lost)
+    )
 
 
 def nothing_there(lost: int, kept: int) -> str:
@@ -889,7 +896,9 @@ class Columns:
         before = keep & (np.arange(len(file)) < np.argmax(whole)) if "t" in quantities else ~keep & keep
         if before.any():
             blank = ", ".join(file.names[c] for c in must if any(not file.rows[k][c] for k in np.flatnonzero(before)))
-            self.notes.append(f"{file.path.name}: {counted(int(before.sum()), 'row')} before the first {blank}: left out")
+            self.notes.append(
+                f"{file.path.name}: {counted(int(before.sum()), 'row')} before the first {blank}: left out"
+            )
             keep &= ~before
         if role == "map" or INSTANTS & set(columns):
             whole = role not in ROLES or role == "observations"
@@ -919,7 +928,9 @@ class Columns:
                 if q in ("range", "bearing"):
                     self.notes.append(f"{file.path.name}: {q} is {said}: was nothing measured there? Leave them out")
         if role in ("truth", "fixes") and (none := nowhere(np.stack([values[q] for q in "xy" if q in values]))).any():
-            some = f"{counted(int(none.sum()), 'place')} of {role} at 0, 0, far from all others: no message yet, left out"
+            some = (
+                f"{counted(int(none.sum()), 'place')} of {role} at 0, 0, far from all others: no message yet, left out"
+            )
             self.notes.append(f"{file.path.name}: {some}")
             values |= {q: np.where(none, np.nan, values[q]) for q in "xy"}
         if earth:
