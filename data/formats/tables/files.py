@@ -854,12 +854,15 @@ class Columns:
         return pose
 
     def say_unused(self, files: Mapping[str, TextTable]) -> None:
-        """Note the columns of named files, by role, that nothing used, with what they likely are."""
-        for path in dict.fromkeys(f.path for f in files.values() if f.named):
+        """Note the columns of files, by role, that nothing used, with what they likely are; no words without a name."""
+        for path in dict.fromkeys(f.path for f in files.values()):
             of = {role: file for role, file in files.items() if file.path == path}
             free = [q for r, f in of.items() for q in MORE.get(r, MORE["observations"]) if self.find(f, r, q) is None]
             used = {part for where, name in self.read if where == path for part in (name, *name.split("+"))}
-            names = dict.fromkeys(n for f in of.values() for n in f.names if n and n not in used)
+            names = dict.fromkeys(
+                n for f in of.values() for n, field in zip(f.names, f.rows[0], strict=True)
+                if n and n not in used and (f.named or is_number(field))
+            )
             if names:
                 self.notes.append(f"{path.name}: {unused([*names], free)}")
 
