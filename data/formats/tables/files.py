@@ -12,7 +12,7 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from itertools import groupby
 from pathlib import Path
 from typing import Self
@@ -25,7 +25,7 @@ from data.dates import DATES, DMY, EXAMPLE, MDY, is_date, seconds_of, unit_of, w
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import ELEMENT, columns_of, is_arrays, solids
-from data.formats.messages import cut_end, kinds_of, parts_of, read_lines, whole_names
+from data.formats.messages import LISTED, cut_end, kinds_of, parts_of, read_lines, whole_names
 from data.formats.results.reading import RATES, REFERENCE, TRUE, role_of, topics_in, words_of
 from data.inputs import IntArray
 from data.notice import Notice
@@ -101,6 +101,16 @@ class TextTable:
         for name, column in zip(self.names, columns, strict=False):
             found.setdefault(column.index("") if "" in column else len(column), []).append(name)
         return found if len(found) > 1 else {}
+
+    def beside(self, name: str, number: IntArray) -> Self:
+        """With one more column, of a number (K,) for each row."""
+        rows = tuple((*row, str(k)) for row, k in zip(self.rows, number.tolist(), strict=True))
+        return replace(self, names=(*self.names, name), rows=rows)
+
+    @cached_property
+    def filled(self) -> tuple[int, ...]:
+        """The columns with a field that is not blank."""
+        return tuple(k for k in range(len(self.names)) if any(row[k] for row in self.rows))
 
     def text(self, column: int, keep: BoolArray) -> list[str]:
         """The fields of a column in the rows to keep (K,)."""
@@ -380,7 +390,8 @@ def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
     if not labels:
         raise DataError.at(file.path, f"no column {', '.join(patterns.values())}; it has {file.described()}")
     rest = sorted({*range(len(file.names))} - {j for of in found.values() for j in of.values()})
-    seen = [[k for k, of in enumerate(labels.values()) if _observed(row, of)] for row in file.rows]
+    far = [[_distance(row, of) for of in labels.values()] for row in file.rows]
+    seen = [[k for k, distance in enumerate(each) if distance > 0.0] for each in far]
     own &= len(set(map(len, seen))) < SLOTS or any(some != list(range(len(some))) for some in seen)
     named = [*labels] if all(map(str.isdecimal, labels)) else [str(k) for k in range(len(labels))]
     columns = [of.values() for of in labels.values()]
@@ -390,16 +401,24 @@ def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
     ]  # fmt: skip
     line = np.repeat(file.line, list(map(len, seen)))
     names = (*(file.names[j] for j in rest), *patterns, *["label"] * own)
-    return replace(file, names=names, rows=tuple(rows), line=line, named=True)
+    lost = sum(distance <= 0.0 for each in far for distance in each)
+    return replace(
+        file, names=names, rows=tuple(rows), line=line, named=True, cut=nothing_there(lost, len(rows)) * bool(lost)
+    )
 
 
-def _observed(row: Sequence[str], of: Mapping[str, int]) -> bool:
+def nothing_there(lost: int, kept: int) -> str:
+    """What is said of observations at no distance, or less, beside those that are kept."""
+    return f"{lost} of {lost + kept} observations are at 0 m or less, where nothing was seen: left out"
+
+
+def _distance(row: Sequence[str], of: Mapping[str, int]) -> float:
+    """From the sensor [the file's unit], NaN where a number is not there; 1 of a bearing alone."""
     values = {q: float(row[j]) if is_number(row[j]) else math.nan for q, j in of.items() if q in STARRED}
-    there = values.get("range", 1.0) > 0.0 and (values.get("x", 1.0), values.get("y", 1.0)) != (0.0, 0.0)
-    return there and all(map(math.isfinite, values.values()))
+    far = values.get("range", math.hypot(values.get("x", 1.0), values.get("y", 0.0)))
+    return far + 0.0 * sum(values.values())
 
 
-LISTED = ("ranges", "range", "scan", "distances")  # Names that may stand for all beams of a scan
 SLOTS = 3  # Least different numbers of filled columns, from the left always, which no landmarks in sight would make
 STARRED, IDS = ("range", "bearing", "x", "y"), ("label", "true_id")
 """Quantities of observations that may have a column for each landmark, or for each of several in a row, with ids."""
@@ -500,8 +519,8 @@ def factor(dimension: str, text: str, where: str) -> float:
     if kind == "time" and text in DATES:
         return 1.0
     (over, often), (under, times) = (
-        (text[many.end() :], float(many[0])) if (many := re.match(r"\d*\.?\d+", text)) else (text, 1.0)
-        for text in (over, under)  # counts of 0.1ms, per 0.1s
+        (text[many.end() :], float(many[0])) if (many := re.match(r"\d*\.?\d+([eE][-+]?\d+)?", text)) else (text, 1.0)
+        for text in (over, under)  # counts of 0.1ms or 1e-7deg, per 0.1s
     )
     if over not in units or bool(slash) != bool(per) or (per and under not in TIME) or not times * often > 0.0:
         example = f"{next(iter(units))}/s" if per else ", ".join([*units, *DATES] if kind == "time" else units)
@@ -702,7 +721,7 @@ class Columns:
                 near = did_you_mean(self.given[key], file.names)
                 raise DataError.at(file.path, f"no column {self.given[key]!r}{near} ({key}); it has {file.described()}")
         usual = (quantity.replace("theta", "yaw"), quantity)
-        meant = {c: meaning(name) for c, name in enumerate(file.names) if file.named}
+        meant = {c: meaning(file.names[c]) for c in file.filled if file.named}
         more = (quantity, *ALSO.get(quantity, ()), *["id"] * (quantity == "label" and role not in ROLES[2:]))
         whole, apart = ([c for c, (_, *m) in meant.items() if m[k][0] in usual or m[k][1] in more] for k in (0, 1))
         also = [c for c in apart if role in meant[c][0]]
@@ -842,12 +861,15 @@ class Columns:
         return pose
 
     def say_unused(self, files: Mapping[str, TextTable]) -> None:
-        """Note the columns of named files, by role, that nothing used, with what they likely are."""
-        for path in dict.fromkeys(f.path for f in files.values() if f.named):
+        """Note the columns of files, by role, that nothing used, with what they likely are; no words without a name."""
+        for path in dict.fromkeys(f.path for f in files.values()):
             of = {role: file for role, file in files.items() if file.path == path}
             free = [q for r, f in of.items() for q in MORE.get(r, MORE["observations"]) if self.find(f, r, q) is None]
             used = {part for where, name in self.read if where == path for part in (name, *name.split("+"))}
-            names = dict.fromkeys(n for f in of.values() for n in f.names if n and n not in used)
+            names = dict.fromkeys(
+                n for f in of.values() for n, field in zip(f.names, f.rows[0], strict=True)
+                if n and n not in used and (f.named or is_number(field))
+            )
             if names:
                 self.notes.append(f"{path.name}: {unused([*names], free)}")
 
@@ -878,6 +900,15 @@ class Columns:
         else:
             empty &= not set(quantities) & set(may_be_blank)
         keep = ~(empty | ended)
+        must = [columns[q] for q in quantities if q not in may_be_blank]
+        whole = keep & np.array([all(row[c].lower() not in ("", "nan") for c in must) for row in file.rows], bool)
+        before = keep & (np.arange(len(file)) < np.argmax(whole)) if "t" in quantities else ~keep & keep
+        if before.any():
+            blank = ", ".join(file.names[c] for c in must if any(not file.rows[k][c] for k in np.flatnonzero(before)))
+            self.notes.append(
+                f"{file.path.name}: {counted(int(before.sum()), 'row')} before the first {blank}: left out"
+            )
+            keep &= ~before
         if role == "map" or INSTANTS & set(columns):
             whole = role not in ROLES or role == "observations"
             fields = range(len(file.names)) if whole else (*columns.values(), *named.values())
@@ -896,7 +927,8 @@ class Columns:
                 continue
             values[q] = file.numbers(c, keep, dates) * self.units.factor(role, EARTH[q] if q in earth else q)
         for q, c in columns.items():
-            if QUANTITIES[q] not in ("", "time") and q[0] != "s" and (found := unmeasured(values[q])) is not None:
+            of = np.where(values[q] > 0.0, values[q], np.nan) if q == "range" else values[q]  # others are left out
+            if QUANTITIES[q] not in ("", "time") and q[0] != "s" and (found := unmeasured(of)) is not None:
                 row, count, far = found
                 said = f"{file.text(c, keep)[row]} in {count} of {len(values[q])} rows"
                 if far:
@@ -904,6 +936,12 @@ class Columns:
                     raise DataError.at(file.path, what, line=int(file.line[keep][row]), column=file.names[c])
                 if q in ("range", "bearing"):
                     self.notes.append(f"{file.path.name}: {q} is {said}: was nothing measured there? Leave them out")
+        if role in ("truth", "fixes") and (none := nowhere(np.stack([values[q] for q in "xy" if q in values]))).any():
+            some = (
+                f"{counted(int(none.sum()), 'place')} of {role} at 0, 0, far from all others: no message yet, left out"
+            )
+            self.notes.append(f"{file.path.name}: {some}")
+            values |= {q: np.where(none, np.nan, values[q]) for q in "xy"}
         if earth:
             place = np.stack([values["y"], values["x"], 0.0 * values["x"]], axis=-1)
             for k, (q, sides) in enumerate((("y", "NS"), ("x", "EW"))):  # the hemisphere, in the next column
@@ -947,9 +985,17 @@ def unmeasured(values: Array) -> tuple[int, int, bool] | None:
     return None
 
 
-REPEATED, BEYOND, LEVELS = 3, 10.0, 20
+def nowhere(place: Array) -> BoolArray:
+    """Which places (2, K) are (0, 0), and farther from all others than `APART` of the largest steps of these."""
+    none: BoolArray = ~np.asarray(place.any(axis=0))
+    rest = place[:, ~none & np.isfinite(place).all(axis=0)]
+    step = np.hypot(*np.diff(rest)).max(initial=0.0) if len(rest) == 2 else 0.0
+    return none & np.bool_(0.0 < APART * step < np.hypot(*rest).min(initial=np.inf))
+
+
+REPEATED, BEYOND, LEVELS, APART = 3, 10.0, 20, 50.0
 """Least number of fields with a value that stands for none; how many times it is as large, or as frequent, as any
-other; least number of different values.
+other; least number of different values; how many steps places at 0, 0 that stand for none are away.
 """
 
 

@@ -40,6 +40,15 @@ def test_one_line_says_what_is_wrong(table, text, words, said):
     assert said in table(text, *words, status=2)
 
 
+@pytest.mark.parametrize(("far", "left"), [((0, -2), 2), ((-1, 5, -1), 10), ((0, 0, 0, 7), 15), ((-2, -3, -4), None)])
+def test_ranges_of_zero_some_below_and_a_number_below_that_stands_for_none_are_left_out(table, far, left):
+    far = [*far * (5 if len(far) > 2 else 1), *range(1, 21)][:20]
+    text = "t,v,omega,range,bearing\n" + "".join(f"{k},1,0,{r},-0.1\n" for k, r in enumerate(far))
+    log, said = table(text, *SIGMAS) if left else (None, table(text, *SIGMAS, status=2))
+    assert ("-2 is a negative range" if left is None else f"{left} of 20 observations are at 0 m or less") in said
+    assert left is None or len(log.recorded.observations.z) == 20 - left
+
+
 @pytest.mark.parametrize("text", [
     GOOD.replace(",", ";"),
     GOOD.replace(",", "\t"),

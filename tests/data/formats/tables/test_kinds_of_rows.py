@@ -33,7 +33,8 @@ def unread(refused, tmp_path, monkeypatch):
 
 def test_rows_of_one_kind_are_named_behind_the_file(convert, unread):
     words = ("--observations", "in.txt:range2", "--columns", "v=3,omega=4,t=2,range=3,label=4", *NOISE)
-    log, _ = convert({"in.txt": MIXED}, "table", "in.txt:odom2", "out", *words)
+    log, said = convert({"in.txt": MIXED}, "table", "in.txt:odom2", "out", *words)
+    assert "in.txt:odom2: columns not used: 5, 6\n" in said
     assert log.recorded.observations.z[:, 0] == pytest.approx(9.0 - np.arange(9))
     assert log.recorded.increments.mean[2, 2] == pytest.approx(0.1)
     assert "rows hold odom2 (9), range2 (9): name those of one kind, as in in.txt:odom2" in unread({"in.txt": MIXED})
@@ -114,6 +115,9 @@ def test_bars_titles_and_words_for_nothing_are_read(read):
         log, said = read({"o.txt": f"Poses & places, as driven\n{text}"}, *words)
         assert "o.txt: line 1 is a title above the names: Poses & places, as driven" in said
         assert np.hypot(*log.recorded.increments.mean[:, :2].T).sum() == pytest.approx(far)
+    prose = "Poses, as driven\nby hand on a Monday: 5 rows\n" + "".join(f"{k} {0.5 * k} 0 0\n" for k in range(5))
+    log, said = read({"o.txt": prose}, "--truth", "o.txt", "--columns", "t=1,x=2,y=3,theta=4")
+    assert (len(log.recorded), "line 2 is a title above rows without names: by hand on a Monday" in said) == (5, True)
 
 
 @pytest.mark.parametrize(("text", "words", "wanted"), [
@@ -132,10 +136,18 @@ WHEELS = "time,v,w\n" + "".join(f"{0.1 * k:.1f},1,0\n" for k in range(60))
 def test_a_column_for_each_landmark_is_named_with_a_star(read, unread):
     wide = "time,beacon_4,beacon_7\n" + "".join(f"{k},{9 - k},{-1.0 if k % 2 else 5}\n" for k in range(5))
     files, words = {"o.csv": WHEELS, "seen.csv": wide}, ("--observations", "seen.csv", *NOISE)
-    log, _ = read(files, *words, "--columns", "range=beacon_*")
+    log, said = read(files, *words, "--columns", "range=beacon_*")
     seen = log.recorded.observations
     assert log.label.tolist() == [4, 7, 4, 4, 7, 4, 4, 7]
+    assert "seen.csv: 2 of 10 observations are at 0 m or less, where nothing was seen: left out" in said
     assert seen.z[log.label == 4, 0] == pytest.approx(9.0 - np.arange(5))
+    bare = {"o.csv": "v,w\n" + "1,0\n" * 5, "seen.csv": "\n".join(row.partition(",")[2] for row in wide.splitlines())}
+    log, said = read(bare, *words, "--columns", "range=beacon_*", "--period", "0.1s")
+    assert (log.recorded.observations.frame.tolist(), log.label.tolist()) == (
+        [0, 0, 1, 2, 2, 3, 4, 4],
+        [4, 7, 4] * 2 + [4, 7],
+    )
+    assert "seen.csv: inferred: each of its 5 rows is one of the odometry" in said
     assert "as in --columns range=beacon_*" in unread(files, *words)
     assert "no column b_*" in unread(files, *words, "--columns", "range=b_*")
 
@@ -150,6 +162,11 @@ def test_a_truth_of_places_tells_the_heading_at_the_start(read):
     assert log.recorded.prior.mean == pytest.approx([0, 0, np.arctan2(0.8, -0.6)], abs=1e-6)
     assert log.recorded.prior.covariance[2, 2] == pytest.approx(np.radians(10.0) ** 2)
     assert "the truth has no heading" in said
+    places = zip(-0.6 * way + 0.5 * (way > 0.0), 0.8 * way + 0.4 * (way > 0.0), strict=True)  # leap by 0.6 m
+    files["truth.csv"] = "t,x,y\n" + "".join(f"{0.1 * k:.1f},{x},{y}\n" for k, (x, y) in enumerate(places))
+    prior = read(files, "--truth", "truth.csv")[0].recorded.prior
+    off = abs(prior.mean[2] - np.arctan2(0.8, -0.6))
+    assert np.radians(10.0) < off < 2.0 * np.sqrt(prior.covariance[2, 2])
 
 
 @pytest.mark.parametrize("suffix", ["mat", "npz"])
