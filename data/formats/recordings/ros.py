@@ -60,8 +60,27 @@ def opened(path: Path, kinds: frozenset[str] = frozenset()) -> Iterator[Any]:
         raise UsageError(f"rosbag needs the package rosbags ({error}): pip install 'slamref[ros]'") from None
     if not path.exists():
         raise DataError.at(path, "no such bag; a .bag file, a folder of ROS 2, or its .mcap or .db3 is needed")
-    with _reported(path), any_reader(path, {SCAN, ODOMETRY, TRANSFORMS, *kinds}) as reader:
+    files = files_of(path) or [path]
+    parts = {f"{files[0].stem.removesuffix('_0')}_{k}" for k in range(len(files))}
+    if len(files) > 1 and {f.stem for f in files} != parts:
+        several = ", ".join(f.name for f in files)
+        raise DataError.at(path, f"several bags without {METADATA}: {several}; name one of them")
+    with _reported(path), any_reader(files, {SCAN, ODOMETRY, TRANSFORMS, *kinds}) as reader:
         yield reader
+
+
+def files_of(path: Path) -> list[Path]:
+    """The file or folder of a bag, none of any other; the files of a folder whose metadata are missing or of others."""
+    folder = path.parent if path.name == METADATA else path
+    if not folder.is_dir():
+        return [path] * (path.suffix in SUFFIXES)
+    metadata, found = folder / METADATA, sorted(f for f in folder.iterdir() if f.suffix in SUFFIXES[1:])
+    text = metadata.read_text("utf-8", "replace") if metadata.is_file() else ""
+    named = "rosbag2_bagfile_information" in text and (not found or any(f.name in text for f in found))
+    return [folder] if named else found
+
+
+SUFFIXES, METADATA = (".bag", ".mcap", ".db3"), "metadata.yaml"
 
 
 def stamp_of(message: Any, recorded: float) -> float:

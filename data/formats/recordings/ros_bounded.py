@@ -47,8 +47,8 @@ def _named(description: Any) -> set[str]:
     return _named(inside[0]) if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else set()
 
 
-def any_reader(path: Path, names: set[str]) -> Any:
-    """The library's reader of a bag, not yet open; `names`: types to define if the bag does not."""
+def any_reader(files: list[Path], names: set[str]) -> Any:
+    """The library's reader of a bag's files, not yet open; `names`: types to define if the bag does not."""
     # A store of these types and their parts; one of all types would take seconds and megabytes.
     turtle = get_types_from_msg("float32 x\nfloat32 y\nfloat32 theta\nfloat32 v\nfloat32 w", "turtlesim/msg/Pose")
     every, found = get_typestore(Stores.LATEST).fielddefs | turtle, dict[str, Any]()
@@ -58,4 +58,4 @@ def any_reader(path: Path, names: set[str]) -> Any:
         names |= {n for _, field in every[name][1] for n in _named(field)} - found.keys()
     store = get_typestore(Stores.EMPTY)
     store.register(found)
-    return AnyReader([_Path(path)], default_typestore=store)
+    return AnyReader([_Path(path) for path in files], default_typestore=store)

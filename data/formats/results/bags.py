@@ -22,12 +22,11 @@ PATH = "nav_msgs/msg/Path"
 WITH_COVARIANCE = (POSE, ODOMETRY)
 USUAL = (*WITH_COVARIANCE, PATH, "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
 KINDS = (*USUAL, *ros.PLACES, "geometry_msgs/msg/PoseArray")
-SUFFIXES = (".bag", ".mcap", ".db3")
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path looks like a bag: by its suffix, or as a folder with metadata.yaml."""
-    return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file()
+    """Whether a path looks like a bag: by its suffix, or as a folder of ROS 2."""
+    return bool(ros.files_of(path))
 
 
 def file_and_topic(name: str) -> tuple[Path, str | None]:
