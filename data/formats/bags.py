@@ -412,8 +412,8 @@ LONG = 1.0  # s; longer gaps of the odometry are counted
 SMALL = 1e-3  # Largest deviation of the tilt's cosine from 1 (2.6 degrees)
 ODOM_FRAME = "odom"
 BODIES = ("base_link", "base_footprint")  # Usual frames of a robot, where its odometry names none
-WHEELS = re.compile("odom|wheel|encoder|tick|motor", re.IGNORECASE)  # In names of odometry of other types
-OTHERWISE = "ticks left, right, or v, omega, exported as CSV beside the scans, suit slamref convert table --scans"
+WHEELS = re.compile("odom|wheel|encoder|tick|motor|joint|twist", re.IGNORECASE)  # In names of other odometry
+OTHERWISE = "ticks left, right (joints: in rad), or v, omega, exported as CSV, suit slamref convert table (--scans)"
 
 
 def odometry_of(path: Path, topics: Sequence[Topic], found: Collected) -> tuple[str, str, Array, Array]:
@@ -435,7 +435,7 @@ def odometry_of(path: Path, topics: Sequence[Topic], found: Collected) -> tuple[
         if not any(moving[child].moves for child in named):  # the frame that drives is below it
             named = [k for k, m in below.items() if m.moves and found.tree.carries((*named, k)[0], k)] or named
         if not named:
-            others = ", ".join(t.name for t in topics if t.role is Role.NOTHING and WHEELS.search(t.name + t.kind))
+            others = ", ".join(t.name for t in topics if t.kind not in OF and WHEELS.search(t.name + t.kind))
             posed = [t.name for t in topics if t.kind == ODOMETRY or (t.kind in POSED and t.role is Role.NOTHING)]
             ways = [f"--odom {' or '.join(posed)}"] * bool(posed)
             ways += [f"{others}: {OTHERWISE}"] * bool(others)
@@ -532,7 +532,8 @@ def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, 
     """
     every = topics_of(path)
     if scan is None and not any(t.role is Role.SCANS for t in every):
-        raise UsageError(f"{path}: no LaserScan; slamref convert bag {path} --list says what it holds instead")
+        posed = "".join(f", slamref score {path}:{t.name} TRUTH its path" for t in every if t.kind in CAN_BE_TRUTH)
+        raise UsageError(f"{path}: no LaserScan; slamref convert bag {path} --list says what it holds instead{posed}")
     roles = (Role.SCANS, Role.ODOMETRY, Role.TRANSFORMS)
     topics = chosen(path, every, odometry=odometry, scans=scan)
     found = collect(path, [t for t in topics if t.role in roles])

@@ -41,11 +41,11 @@ def read_bag(path: Path, topic: str | None, manner: Manner) -> GivenPath:
     with opened(path, frozenset(KINDS)) as reader:
         kinds = {c.topic: c.msgtype for c in reader.connections if c.msgtype in KINDS}
         tf, (name, _, pair) = (TRANSFORMS, OLD_TRANSFORMS), (topic or "").partition(":")
-        moved = any(c.msgtype in tf for c in reader.connections) or not kinds
+        moved = any(c.msgtype in tf for c in reader.connections)
         of_tf = name.strip("/") == "tf" or (topic is None and moved and not {*kinds.values()} & {*USUAL})
         topic = (topic or "/tf") if of_tf else _topic(path, kinds, topic)
         wanted = [c for c in reader.connections if c.topic == topic or c.msgtype in tf]
-        for c, recorded, raw in reader.messages(wanted):
+        for c, recorded, raw in reader.messages(wanted) if wanted else ():
             message = reader.deserialize(raw, c.msgtype)
             if c.msgtype in tf:
                 tree.add_message(message, 1e-9 * recorded, static=c.topic.endswith("static"))
@@ -94,7 +94,7 @@ def _of_tf(path: Path, tree: Tree, pair: str) -> Spatial:
 
 def _topic(path: Path, kinds: dict[str, str], topic: str | None) -> str:
     """The requested topic, or the only one of poses; of several the only one of a usual type, or with covariance."""
-    there = ", ".join(sorted(kinds)) or "none"
+    there = ", ".join(sorted(kinds)) or f"none (slamref convert bag {path} --list names all topics)"
     if topic is None:
         some = ([t for t, kind in kinds.items() if kind in of] for of in ({*USUAL, *ros.POSED}, USUAL, WITH_COVARIANCE))
         only = next((topics for topics in some if len(topics) == 1), [])

@@ -56,6 +56,8 @@ def test_which_topic_must_be_said_where_there_are_several(tmp_path):
     where = bag("mcap", tmp_path)
     with pytest.raises(UsageError, match=r"which topic\? .*:/TOPIC is needed; with poses: /amcl, /odom"):
         read_path(str(where))
+    with pytest.raises(UsageError, match=r"which transform\?.*moving ones: none"):
+        read_path(f"{where}:/tf")
     with pytest.raises(UsageError, match="no poses on /scan; such topics: /amcl, /odom"):
         read_path(f"{where}:/scan")
     assert len(read_path(f"{where}:amcl").time) == 5, "topics of old bags have no slash: it does not matter"

@@ -55,6 +55,8 @@ def test_a_bag_of_ros_2_is_read_without_its_metadata_renamed_or_by_them(tmp_path
     for name in names:
         assert len(read_path(str(tmp_path / name)).time) == len(LEVEL)
         assert "a ROS bag" in what_to_type(tmp_path / name)
+        with pytest.raises(UsageError, match=r"no LaserScan; .*/small.*:/odom TRUTH"):
+            laser_log(tmp_path / name)
     bag = next(folder.glob("*.db3"))
     (folder / "else.db3").write_bytes(bag.read_bytes())
     (folder / "metadata.yaml").unlink(missing_ok=True)
