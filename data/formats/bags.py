@@ -365,38 +365,22 @@ def _pose(message: Any, recorded: float, where: str, role: Role) -> Pose:
 
 def detections(kind: str, message: Any, recorded: float) -> Iterator[Detection]:
     """What a message of detections holds."""
+    every: list[tuple[Any, str, Any, Any]]  # message with the stamp, frame if it is another one's, id, point or pixel
     if kind == POSES:
-        stamp, frame = ros.stamp_of(message, recorded), ros.bare(message.header.frame_id)
-        for pose in message.poses:
-            yield Detection(stamp, frame, -1, _point(pose.position))
+        every = [(message, "", -1, pose.position) for pose in message.poses]
     elif kind == MARKERS:
-        for marker in message.markers:
-            if marker.action == ADD:
-                frame = ros.bare(marker.header.frame_id)
-                yield Detection(ros.stamp_of(marker, recorded), frame, _id(marker.id), _point(marker.pose.position))
+        every = [(m, m.header.frame_id, m.id, m.pose.position) for m in message.markers if m.action == ADD]
     elif kind == TAGS:
-        for tag in message.detections:
-            number = _id(tag.id[0]) if len(tag.id) == 1 else -1
-            frame = ros.bare(tag.pose.header.frame_id or message.header.frame_id)
-            yield Detection(ros.stamp_of(message, recorded), frame, number, _point(tag.pose.pose.pose.position))
+        one = [(t.pose, t.id[0] if len(t.id) == 1 else -1) for t in message.detections]
+        every = [(message, pose.header.frame_id, number, pose.pose.pose.position) for pose, number in one]
     elif kind == FLAT_TAGS:
-        for tag in message.detections:
-            at = (float(tag.centre.x), float(tag.centre.y), math.nan)
-            yield Detection(ros.stamp_of(message, recorded), ros.bare(message.header.frame_id), _id(tag.id), at)
-    elif kind in (BOXES, FLAT_BOXES):
-        for box in message.detections:
-            centre = box.bbox.center
-            frame = ros.bare(box.header.frame_id or message.header.frame_id)
-            if kind == BOXES:
-                at = _point(centre.position)
-            else:
-                place = centre.position if hasattr(centre, "position") else centre
-                at = (float(place.x), float(place.y), math.nan)
-            yield Detection(ros.stamp_of(message, recorded), frame, _id(getattr(box, "id", "")), at)
-
-
-def _point(p: Any) -> tuple[float, float, float]:
-    return float(p.x), float(p.y), float(p.z)
+        every = [(message, "", tag.id, tag.centre) for tag in message.detections]
+    else:
+        boxes = [(box, box.bbox.center) for box in message.detections]
+        every = [(message, b.header.frame_id, getattr(b, "id", ""), getattr(c, "position", c)) for b, c in boxes]
+    for stamped, frame, number, p in every:
+        at = (float(p.x), float(p.y), float(getattr(p, "z", math.nan)))
+        yield Detection(ros.stamp_of(stamped, recorded), ros.bare(frame or stamped.header.frame_id), _id(number), at)
 
 
 def _id(value: Any) -> int:
