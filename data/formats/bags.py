@@ -25,7 +25,7 @@ from data.formats.recordings import laser as lasers, ros
 from data.formats.recordings.beams import on_one_set
 from data.formats.recordings.laser import FLOOR, TravelNoise
 from data.formats.recordings.mending import AS_STATED, Mending, beam_angles, piled_up, require_metres
-from data.formats.recordings.ros import ODOMETRY, OLD_TRANSFORMS, SCAN, TF, TRANSFORMS, Tree
+from data.formats.recordings.ros import ODOMETRY, OLD_TRANSFORMS, PLACES, POSED, SCAN, TF, TRANSFORMS, Tree
 from data.formats.results.path import ABSENT, unturned
 from data.formats.second_odometry import closures_between, covered, of_twists, own_name
 from data.inputs import UNLABELLED, Inputs, IntArray, LandmarkMap, Observations, Prior, Scanner, Scans
@@ -40,13 +40,12 @@ from data.timeline import frame_times, truth_at
 from data.truth import Truth
 
 POSITION, INERTIAL = "sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu"
-POSE, BARE = "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseStamped"
-PLACE = "geometry_msgs/msg/PointStamped"
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POSES, MARKERS = "geometry_msgs/msg/PoseArray", "visualization_msgs/msg/MarkerArray"
 CAMERA = "sensor_msgs/msg/CameraInfo"
 BOXES, FLAT_BOXES = "vision_msgs/msg/Detection3DArray", "vision_msgs/msg/Detection2DArray"
 TAGS, FLAT_TAGS = "apriltag_ros/msg/AprilTagDetectionArray", "apriltag_msgs/msg/AprilTagDetectionArray"
-STANDARD = frozenset({POSITION, INERTIAL, POSE, BARE, PLACE, POSES, MARKERS, CAMERA})
+STANDARD = frozenset({POSITION, INERTIAL, POSE, *PLACES, POSES, MARKERS, CAMERA})
 """Types that a bag need not define, besides those of a laser log."""
 
 
@@ -71,14 +70,14 @@ class Role(StrEnum):
 
 OF = {
     ODOMETRY: Role.ODOMETRY, SCAN: Role.SCANS, TRANSFORMS: Role.TRANSFORMS, OLD_TRANSFORMS: Role.TRANSFORMS,
-    POSITION: Role.POSITIONS, INERTIAL: Role.HEADINGS, POSE: Role.POSES, BARE: Role.TRUTH, CAMERA: Role.CAMERA,
-    PLACE: Role.TRUTH,
+    POSITION: Role.POSITIONS, INERTIAL: Role.HEADINGS, POSE: Role.POSES, CAMERA: Role.CAMERA,
+    **dict.fromkeys(PLACES, Role.TRUTH),
     POSES: Role.POINTS, MARKERS: Role.POINTS, BOXES: Role.POINTS, TAGS: Role.POINTS,
     FLAT_BOXES: Role.BEARINGS, FLAT_TAGS: Role.BEARINGS,
 }  # fmt: skip
 """What the messages of a type become by default."""
 SECOND_FLAG = "--second-odom"
-CAN_BE_TRUTH = (ODOMETRY, POSE, BARE, PLACE)
+CAN_BE_TRUTH = (ODOMETRY, POSE, *PLACES)
 FIXES, RANGED = (Role.POSITIONS, Role.HEADINGS, Role.POSES), (Role.RANGES, Role.POLAR)
 
 
@@ -161,6 +160,8 @@ def chosen(
             kind = f"its messages are {by_name[second].kind}" if second in by_name else "transforms have no noise"
             raise UsageError(f"{SECOND_FLAG} {second}: {kind}; {ODOMETRY} is needed")
         by_name[second] = replace(by_name[second], role=Role.SECOND, why=SECOND_FLAG)
+    if odometry in by_name and by_name[odometry].kind in (*POSED, POSE) and odometry != truth:
+        by_name[odometry] = replace(by_name[odometry], role=Role.ODOMETRY, why="--odom")
     for name, t in by_name.items():
         if t.role is Role.TRUTH and name != truth:
             by_name[name] = replace(t, role=Role.NOTHING, why=f"--truth {name} makes it the truth")
@@ -267,6 +268,10 @@ class Collected:
     tree: Tree = field(default_factory=Tree)  # transforms
     scans: Scanned = field(default_factory=Scanned)  # of the only topic of scans
 
+    def told(self) -> list[str]:
+        """A sentence on each topic of poses without stamps."""
+        return [f"{topic}: messages without a stamp have that of recording." for topic in sorted(self.unstamped)]
+
 
 def collect(path: Path, topics: Sequence[Topic]) -> Collected:
     """The messages of topics with a role. DataError for a damaged bag, or an invalid number or scan."""
@@ -328,13 +333,14 @@ def _add(found: Collected, role: Role, topic: str, kind: str, message: Any, reco
         P[2, 2] = C[2, 2] if C[2, 2] > 0.0 else np.nan
         found.poses.setdefault(topic, []).append(Pose(ros.stamp_of(message, recorded), (0.0, 0.0, angle), P))
     else:
-        pose = _pose(message, recorded, where, certain=role is Role.POSES)
+        pose = _pose(message, recorded, where, role)
         if role is Role.SECOND:
             C = np.asarray(message.twist.covariance, float).reshape(6, 6)[np.ix_((0, 1, 5), (0, 1, 5))]
             pose = pose._replace(covariance=0.5 * (C + C.T))
         found.poses.setdefault(topic, []).append(pose)
         found.unstamped |= {topic} if ros.stamp_of(message, 0.0) == 0.0 else set()
-        found.frames[topic] = ros.bare(message.header.frame_id), ros.bare(getattr(message, "child_frame_id", ""))
+        world, body = ros.frames_of(message)
+        found.frames[topic] = ros.bare(world), ros.bare(body)
 
 
 def _finite(values: Sequence[float], where: str) -> bool:
@@ -343,58 +349,36 @@ def _finite(values: Sequence[float], where: str) -> bool:
     return True
 
 
-def _pose(message: Any, recorded: float, where: str, *, certain: bool) -> Pose:
+def _pose(message: Any, recorded: float, where: str, role: Role) -> Pose:
     P = np.full((3, 3), np.nan)
-    if hasattr(message, "point"):  # a place alone
-        x, y = (float(message.point.x), float(message.point.y))
-        _finite((x, y), where)
-        return Pose(ros.stamp_of(message, recorded), (x, y, math.nan), P)
-    pose = message.pose
-    if certain and hasattr(pose, "covariance"):
+    if role is Role.POSES and hasattr(pose := message.pose, "covariance"):
         C = np.asarray(pose.covariance, float).reshape(6, 6)[np.ix_((0, 1, 5), (0, 1, 5))]
         if np.isfinite(C).all() and (np.diagonal(C) > 0.0).all():
             P = 0.5 * (C + C.T)
-    pose = pose.pose if hasattr(pose, "pose") else pose
-    p, q = pose.position, pose.orientation
-    values = (float(p.x), float(p.y), ros.heading((q.x, q.y, q.z, q.w)))
-    _finite(values, where)
+    x, y, _, *q = map(float, ros.placed(message, where))
+    values = (x, y, ros.heading(np.array(q)))
+    _finite(values if any(q) or role is not Role.TRUTH else values[:2], where)
     return Pose(ros.stamp_of(message, recorded), values, P)
 
 
 def detections(kind: str, message: Any, recorded: float) -> Iterator[Detection]:
     """What a message of detections holds."""
+    every: list[tuple[Any, str, Any, Any]]  # message with the stamp, frame if it is another one's, id, point or pixel
     if kind == POSES:
-        stamp, frame = ros.stamp_of(message, recorded), ros.bare(message.header.frame_id)
-        for pose in message.poses:
-            yield Detection(stamp, frame, -1, _point(pose.position))
+        every = [(message, "", -1, pose.position) for pose in message.poses]
     elif kind == MARKERS:
-        for marker in message.markers:
-            if marker.action == ADD:
-                frame = ros.bare(marker.header.frame_id)
-                yield Detection(ros.stamp_of(marker, recorded), frame, _id(marker.id), _point(marker.pose.position))
+        every = [(m, m.header.frame_id, m.id, m.pose.position) for m in message.markers if m.action == ADD]
     elif kind == TAGS:
-        for tag in message.detections:
-            number = _id(tag.id[0]) if len(tag.id) == 1 else -1
-            frame = ros.bare(tag.pose.header.frame_id or message.header.frame_id)
-            yield Detection(ros.stamp_of(message, recorded), frame, number, _point(tag.pose.pose.pose.position))
+        one = [(t.pose, t.id[0] if len(t.id) == 1 else -1) for t in message.detections]
+        every = [(message, pose.header.frame_id, number, pose.pose.pose.position) for pose, number in one]
     elif kind == FLAT_TAGS:
-        for tag in message.detections:
-            at = (float(tag.centre.x), float(tag.centre.y), math.nan)
-            yield Detection(ros.stamp_of(message, recorded), ros.bare(message.header.frame_id), _id(tag.id), at)
-    elif kind in (BOXES, FLAT_BOXES):
-        for box in message.detections:
-            centre = box.bbox.center
-            frame = ros.bare(box.header.frame_id or message.header.frame_id)
-            if kind == BOXES:
-                at = _point(centre.position)
-            else:
-                place = centre.position if hasattr(centre, "position") else centre
-                at = (float(place.x), float(place.y), math.nan)
-            yield Detection(ros.stamp_of(message, recorded), frame, _id(getattr(box, "id", "")), at)
-
-
-def _point(p: Any) -> tuple[float, float, float]:
-    return float(p.x), float(p.y), float(p.z)
+        every = [(message, "", tag.id, tag.centre) for tag in message.detections]
+    else:
+        boxes = [(box, box.bbox.center) for box in message.detections]
+        every = [(message, b.header.frame_id, getattr(b, "id", ""), getattr(c, "position", c)) for b, c in boxes]
+    for stamped, frame, number, p in every:
+        at = (float(p.x), float(p.y), float(getattr(p, "z", math.nan)))
+        yield Detection(ros.stamp_of(stamped, recorded), ros.bare(frame or stamped.header.frame_id), _id(number), at)
 
 
 def _id(value: Any) -> int:
@@ -408,8 +392,9 @@ MOST_BEYOND = 0.5  # Share of ranges beyond the stated maximum, in the ranges' u
 LONG = 1.0  # s; longer gaps of the odometry are counted
 SMALL = 1e-3  # Largest deviation of the tilt's cosine from 1 (2.6 degrees)
 ODOM_FRAME = "odom"
-WHEELS = re.compile("odom|wheel|encoder|tick|motor", re.IGNORECASE)  # In names of odometry of other types
-OTHERWISE = "ticks left, right, or v, omega, exported as CSV beside the scans, suit slamref convert table --scans"
+BODIES = ("base_link", "base_footprint")  # Usual frames of a robot, where its odometry names none
+WHEELS = re.compile("odom|wheel|encoder|tick|motor|joint|twist", re.IGNORECASE)  # In names of other odometry
+OTHERWISE = "ticks left, right (joints: in rad), or v, omega, exported as CSV, suit slamref convert table (--scans)"
 
 
 def odometry_of(path: Path, topics: Sequence[Topic], found: Collected) -> tuple[str, str, Array, Array]:
@@ -422,7 +407,8 @@ def odometry_of(path: Path, topics: Sequence[Topic], found: Collected) -> tuple[
         if not rows:
             raise DataError.at(path, f"no message of {topic}; at least one is needed")
         stamp, pose = np.array([r.stamp for r in rows]), np.array([r.pose for r in rows])
-        robot = found.frames[topic][1]
+        carrying = {m.parent for m in found.tree.moving.values()}
+        robot = found.frames[topic][1] or next((name for name in BODIES if name in carrying), "")
     else:
         moving = {child: m for child, m in found.tree.moving.items() if not m.static}
         below = {child: m for child, m in moving.items() if found.tree.carries(child, found.scans.frame)}
@@ -430,8 +416,9 @@ def odometry_of(path: Path, topics: Sequence[Topic], found: Collected) -> tuple[
         if not any(moving[child].moves for child in named):  # the frame that drives is below it
             named = [k for k, m in below.items() if m.moves and found.tree.carries((*named, k)[0], k)] or named
         if not named:
-            others = ", ".join(t.name for t in topics if t.role is Role.NOTHING and WHEELS.search(t.name + t.kind))
-            ways = ["--odom TOPIC"] * any(t.kind == ODOMETRY for t in topics)
+            others = ", ".join(t.name for t in topics if t.kind not in OF and WHEELS.search(t.name + t.kind))
+            posed = [t.name for t in topics if t.kind == ODOMETRY or (t.kind in POSED and t.role is Role.NOTHING)]
+            ways = [f"--odom {' or '.join(posed)}"] * bool(posed)
             ways += [f"{others}: {OTHERWISE}"] * bool(others)
             ways += [f"slamref convert rosbag {path} LOG --no-odometry: scans alone"] * bool(found.scans.ranges)
             what = "neither a topic of odometry nor a moving transform of the robot; one is needed"
@@ -526,7 +513,8 @@ def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, 
     """
     every = topics_of(path)
     if scan is None and not any(t.role is Role.SCANS for t in every):
-        raise UsageError(f"{path}: no LaserScan; slamref convert bag {path} --list says what it holds instead")
+        posed = "".join(f", slamref score {path}:{t.name} TRUTH its path" for t in every if t.kind in CAN_BE_TRUTH)
+        raise UsageError(f"{path}: no LaserScan; slamref convert bag {path} --list says what it holds instead{posed}")
     roles = (Role.SCANS, Role.ODOMETRY, Role.TRANSFORMS)
     topics = chosen(path, every, odometry=odometry, scans=scan)
     found = collect(path, [t for t in topics if t.role in roles])
@@ -544,7 +532,7 @@ def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, 
     if mending.odometry:
         source["odometry"] = topic
         where += f", with {topic} interpolated at their stamps."
-        notes = ["No ground truth: the prior is the first pose of the odometry.", where, *scans.notes]
+        notes = ["No ground truth: the prior is the first pose of the odometry.", where, *found.told(), *scans.notes]
     if more := [t.name for t in topics if t.role not in (*roles, Role.NOTHING, Role.CAMERA, Role.TRUTH)]:
         notes.append(f"Left out, as slamref convert bag alone reads them: {', '.join(more)}.")
     if not inside.all():
@@ -682,7 +670,7 @@ class _Fixed:
 
 def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected, wanted: Wanted) -> Log:
     """The log. DataError or UsageError where odometry, noise or prior are missing."""
-    notes: list[str] = []
+    notes = found.told()
     odometry, robot, stamp, pose = odometry_of(path, topics, found)
     true_rows = [r for t in topics if t.role is Role.TRUTH for r in found.poses.get(t.name, [])]
     late = stamp >= min((r.stamp for r in true_rows), default=-math.inf)

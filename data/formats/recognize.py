@@ -17,16 +17,18 @@ def what_to_type(path: Path) -> str:
     """Of a file or folder that is no log: what it is, and the command that takes it; empty if that is unknown."""
     from data.formats.matlab import variables
     from data.formats.mrclam import is_mrclam, robots
+    from data.formats.results.bags import is_bag
 
     file = shlex.quote(str(path))
     if is_mrclam(path):
         of = robots(path)
         numbers = f"{of[0]} (of {', '.join(map(str, of))})" if len(of) > 1 else f"{of[0]}"
         return f"a UTIAS MRCLAM dataset; type slamref convert mrclam {file} LOG --robot {numbers}"
+    if is_bag(path):
+        return KINDS[".bag .mcap .db3"].format(file=file)
     if path.is_dir():
-        if (path / "provenance.json").is_file():
-            return f"a result folder; type slamref report {file}, or name one of its logs"
-        return KINDS[".bag .mcap .db3"].format(file=file) if (path / "metadata.yaml").is_file() else _tables(path)
+        own = f"a result folder; type slamref report {file}, or name one of its logs"
+        return own if (path / "provenance.json").is_file() else _tables(path)
     if path.suffix.lower() == ".mat":
         folder = path.absolute().parent
         if (recording := recording_in(folder)) is not None:

@@ -20,6 +20,12 @@ from data.se2 import Array
 
 SCAN, ODOMETRY, TRANSFORMS = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
 OLD_TRANSFORMS = "tf/msg/tfMessage"
+POSED = (
+    *(f"geometry_msgs/msg/{name}" for name in ("PoseStamped", "TransformStamped", "Pose", "Pose2D")),
+    "turtlesim/msg/Pose",
+)
+PLACES = (*POSED, *(f"geometry_msgs/msg/{name}" for name in ("PointStamped", "Vector3Stamped", "Point", "Vector3")))
+"""Types of one pose, or of one pose or place, without a covariance; some have no stamp."""
 STILL = 1e-3  # m and 1: translations and quaternions of a transform that holds differ by at most this
 TF = "tf"  # In place of a topic of odometry: the transform from the odometry's frame to the robot's
 BROKEN = (
@@ -54,17 +60,58 @@ def opened(path: Path, kinds: frozenset[str] = frozenset()) -> Iterator[Any]:
         raise UsageError(f"rosbag needs the package rosbags ({error}): pip install 'slamref[ros]'") from None
     if not path.exists():
         raise DataError.at(path, "no such bag; a .bag file, a folder of ROS 2, or its .mcap or .db3 is needed")
-    with _reported(path), any_reader(path, {SCAN, ODOMETRY, TRANSFORMS, *kinds}) as reader:
+    files = files_of(path) or [path]
+    parts = {f"{files[0].stem.removesuffix('_0')}_{k}" for k in range(len(files))}
+    if len(files) > 1 and {f.stem for f in files} != parts:
+        several = ", ".join(f.name for f in files)
+        raise DataError.at(path, f"several bags without {METADATA}: {several}; name one of them")
+    with _reported(path), any_reader(files, {SCAN, ODOMETRY, TRANSFORMS, *kinds}) as reader:
         yield reader
+
+
+def files_of(path: Path) -> list[Path]:
+    """The file or folder of a bag, none of any other; the files of a folder whose metadata are missing or of others."""
+    folder = path.parent if path.name == METADATA else path
+    if not folder.is_dir():
+        return [path] * (path.suffix in SUFFIXES)
+    metadata, found = folder / METADATA, sorted(f for f in folder.iterdir() if f.suffix in SUFFIXES[1:])
+    text = metadata.read_text("utf-8", "replace") if metadata.is_file() else ""
+    named = "rosbag2_bagfile_information" in text and (not found or any(f.name in text for f in found))
+    return [folder] if named else found
+
+
+SUFFIXES, METADATA = (".bag", ".mcap", ".db3"), "metadata.yaml"
 
 
 def stamp_of(message: Any, recorded: float) -> float:
     """Stamp of a message [s], or the time it was recorded."""
-    stamp = message.header.stamp
-    return float(stamp.sec + 1e-9 * stamp.nanosec) if stamp.sec or stamp.nanosec else recorded
+    stamp = message.header.stamp if hasattr(message, "header") else None
+    return float(stamp.sec + 1e-9 * stamp.nanosec) if stamp and (stamp.sec or stamp.nanosec) else recorded
 
 
-def heading(q: tuple[float, float, float, float]) -> float:
+def frames_of(message: Any) -> tuple[str, str]:
+    """Frames of a message's header and of the body, empty where it states none."""
+    return getattr(getattr(message, "header", None), "frame_id", ""), getattr(message, "child_frame_id", "")
+
+
+def placed(message: Any, where: str) -> tuple[float, ...]:
+    """Position and quaternion of the only pose, transform or place of a message, zeros for what turns nothing."""
+    if hasattr(message, "poses") and len(message.poses) != 1:
+        raise DataError(f"{where}: {len(message.poses)} poses in a message; one is needed")
+    of = message.poses[0] if hasattr(message, "poses") else message
+    for part in ("transform", "pose", "pose", "point", "vector"):  # of a pose with covariance within its pose
+        of = getattr(of, part, of)
+    p, q = (next((getattr(of, n) for n in names if hasattr(of, n)), None) for names in (PLACE, TURN))
+    if p is not None and q is not None:
+        return p.x, p.y, p.z, q.x, q.y, q.z, q.w
+    turn = (math.sin(0.5 * of.theta), math.cos(0.5 * of.theta)) if hasattr(of, "theta") else (0.0, 0.0)
+    return of.x, of.y, getattr(of, "z", 0.0), 0.0, 0.0, *turn
+
+
+PLACE, TURN = ("position", "translation"), ("orientation", "rotation")
+
+
+def heading(q: tuple[float, float, float, float] | Array) -> float:
     """Heading [rad] of a rotation (x, y, z, w): the angle of its x axis in the plane; NaN for an invalid quaternion."""
     R = rotation_of(q)
     return math.atan2(R[1, 0], R[0, 0])

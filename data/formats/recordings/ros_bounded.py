@@ -12,7 +12,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.rosbag1 import ReaderError as Reader1Error
 from rosbags.rosbag2 import ReaderError as Reader2Error
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, TypesysError, get_typestore
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from ruamel.yaml.error import YAMLError
 
 zstd: Any = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
@@ -47,14 +47,15 @@ def _named(description: Any) -> set[str]:
     return _named(inside[0]) if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else set()
 
 
-def any_reader(path: Path, names: set[str]) -> Any:
-    """The library's reader of a bag, not yet open; `names`: types to define if the bag does not."""
+def any_reader(files: list[Path], names: set[str]) -> Any:
+    """The library's reader of a bag's files, not yet open; `names`: types to define if the bag does not."""
     # A store of these types and their parts; one of all types would take seconds and megabytes.
-    every, found = get_typestore(Stores.LATEST).fielddefs, dict[str, Any]()
+    turtle = get_types_from_msg("float32 x\nfloat32 y\nfloat32 theta\nfloat32 v\nfloat32 w", "turtlesim/msg/Pose")
+    every, found = get_typestore(Stores.LATEST).fielddefs | turtle, dict[str, Any]()
     while names:
         name = names.pop()
         found[name] = every[name]
         names |= {n for _, field in every[name][1] for n in _named(field)} - found.keys()
     store = get_typestore(Stores.EMPTY)
     store.register(found)
-    return AnyReader([_Path(path)], default_typestore=store)
+    return AnyReader([_Path(path) for path in files], default_typestore=store)

@@ -1,8 +1,7 @@
 """Poses of a ROS bag, with frames and transforms.
 
 `PoseWithCovarianceStamped` and `Odometry` have a 6x6 covariance, row by row, about fixed axes of the header's frame:
-`world` here. All zeros, NaN, or -1 first, mean unknown. `PoseStamped`, `TransformStamped`, the last `Path` and tf have
-none.
+`world` here. All zeros, NaN, or -1 first, mean unknown. Other poses and places, the last `Path` and tf have none.
 """
 
 import re
@@ -13,22 +12,21 @@ from typing import Any
 import numpy as np
 
 from data.errors import DataError, UsageError
+from data.formats.recordings import ros
 from data.formats.recordings.ros import ODOMETRY, OLD_TRANSFORMS, TRANSFORMS, Tree, opened, stamp_of
 from data.formats.results.path import STATED, WORLD, Clock, GivenPath, Manner, Spatial, Stated, without_headings
 from data.formats.results.space import full, known_only, on_plane, rotations
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
-BARE = "geometry_msgs/msg/PoseStamped"
-MOVED = "geometry_msgs/msg/TransformStamped"
 PATH = "nav_msgs/msg/Path"
 WITH_COVARIANCE = (POSE, ODOMETRY)
-KINDS = (*WITH_COVARIANCE, BARE, MOVED, PATH)
-SUFFIXES = (".bag", ".mcap", ".db3")
+USUAL = (*WITH_COVARIANCE, PATH, "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
+KINDS = (*USUAL, *ros.PLACES, "geometry_msgs/msg/PoseArray")
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path looks like a bag: by its suffix, or as a folder with metadata.yaml."""
-    return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file()
+    """Whether a path looks like a bag: by its suffix, or as a folder of ROS 2."""
+    return bool(ros.files_of(path))
 
 
 def file_and_topic(name: str) -> tuple[Path, str | None]:
@@ -43,20 +41,21 @@ def read_bag(path: Path, topic: str | None, manner: Manner) -> GivenPath:
     with opened(path, frozenset(KINDS)) as reader:
         kinds = {c.topic: c.msgtype for c in reader.connections if c.msgtype in KINDS}
         tf, (name, _, pair) = (TRANSFORMS, OLD_TRANSFORMS), (topic or "").partition(":")
-        of_tf = name.strip("/") == "tf" or (not kinds and topic is None)
+        moved = any(c.msgtype in tf for c in reader.connections)
+        of_tf = name.strip("/") == "tf" or (topic is None and moved and not {*kinds.values()} & {*USUAL})
         topic = (topic or "/tf") if of_tf else _topic(path, kinds, topic)
         wanted = [c for c in reader.connections if c.topic == topic or c.msgtype in tf]
-        for c, recorded, raw in reader.messages(wanted):
+        for c, recorded, raw in reader.messages(wanted) if wanted else ():
             message = reader.deserialize(raw, c.msgtype)
             if c.msgtype in tf:
                 tree.add_message(message, 1e-9 * recorded, static=c.topic.endswith("static"))
             elif c.msgtype == PATH:
-                rows = [_row(each, 1e-9 * recorded) for each in message.poses]
+                rows = [_row(each, 1e-9 * recorded, path) for each in message.poses]
                 frames = {(message.header.frame_id, "")}
             else:
                 unstamped += stamp_of(message, 0.0) == 0.0
-                rows.append(_row(message, 1e-9 * recorded))
-                frames.add((message.header.frame_id, getattr(message, "child_frame_id", "")))
+                rows.append(_row(message, 1e-9 * recorded, path))
+                frames.add(ros.frames_of(message))
     file = f"{path}:{topic}"
     if of_tf:
         return on_plane(_of_tf(path, tree, pair), manner)  # its own transforms compare it with nothing
@@ -94,11 +93,11 @@ def _of_tf(path: Path, tree: Tree, pair: str) -> Spatial:
 
 
 def _topic(path: Path, kinds: dict[str, str], topic: str | None) -> str:
-    """The requested topic, or the only one; of several the only one with covariance."""
-    there = ", ".join(sorted(kinds)) or "none"
+    """The requested topic, or the only one of poses; of several the only one of a usual type, or with covariance."""
+    there = ", ".join(sorted(kinds)) or f"none (slamref convert bag {path} --list names all topics)"
     if topic is None:
-        certain = [t for t, kind in kinds.items() if kind in WITH_COVARIANCE]
-        only = list(kinds) if len(kinds) == 1 else certain if len(certain) == 1 else []
+        some = ([t for t, kind in kinds.items() if kind in of] for of in ({*USUAL, *ros.POSED}, USUAL, WITH_COVARIANCE))
+        only = next((topics for topics in some if len(topics) == 1), [])
         if not only:
             raise UsageError(f"{path}: which topic? {path}:/TOPIC is needed; with poses: {there}")
         return only[0]
@@ -125,13 +124,7 @@ def _spatial(file: str, kind: str, table: Any, stated: Stated, notes: tuple[str,
     return Spatial(file, kind, table[:, 0], p, R, covariance, WORLD, place, stated, (*notes, *more, *unknown), clock)
 
 
-def _row(message: Any, recorded: float) -> list[float]:
+def _row(message: Any, recorded: float, path: Path) -> list[float]:
     """Stamp, position, quaternion, covariance: 44 numbers."""
-    C: Any = np.zeros(36)
-    if hasattr(message, "transform"):
-        p, q = message.transform.translation, message.transform.rotation
-    else:
-        C = getattr(message.pose, "covariance", C)
-        pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
-        p, q = pose.position, pose.orientation
-    return [stamp_of(message, recorded), p.x, p.y, p.z, q.x, q.y, q.z, q.w, *np.asarray(C, float).tolist()]
+    C: Any = getattr(getattr(message, "pose", None), "covariance", np.zeros(36))
+    return [stamp_of(message, recorded), *ros.placed(message, str(path)), *np.asarray(C, float).tolist()]

@@ -867,7 +867,9 @@ class Columns:
             free = [q for r, f in of.items() for q in MORE.get(r, MORE["observations"]) if self.find(f, r, q) is None]
             used = {part for where, name in self.read if where == path for part in (name, *name.split("+"))}
             names = dict.fromkeys(
-                n for f in of.values() for n, field in zip(f.names, f.rows[0], strict=True)
+                n
+                for f in of.values()
+                for n, field in zip(f.names, f.rows[0], strict=True)
                 if n and n not in used and (f.named or is_number(field))
             )
             if names:

@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import groupby
 from types import SimpleNamespace
@@ -11,7 +12,8 @@ import numpy as np
 from data.csv_table import Table, is_number
 from data.errors import DataError, UsageError
 from data.formats.bags import GEOMETRY, Collected, LaserScans, scans_of
-from data.formats.tables.files import Columns, TextTable, stem_of
+from data.formats.results.reading import words_of
+from data.formats.tables.files import ANGLE, DIMENSIONS, Columns, TextTable, stem_of
 from data.formats.tables.motion import Odometry
 from data.inputs import IntArray
 from data.se2 import Array
@@ -19,6 +21,10 @@ from data.se2 import Array
 RANGE = re.compile(r"(?:.*[._])?ranges?[._\[]?\d+\]?")
 BEAMS = 30  # Least numbers of a row that are taken for a scan
 STATED = ("angle_min", "angle_increment", "range_max")
+ALIKE = {"start": "min", "first": "min", "end": "max", "last": "max", "angular": "angle"}
+ALIKE |= dict.fromkeys(("inc", "step", "resolution"), "increment")
+"""Words for those of `GEOMETRY`."""
+TURNS = 4.0 * math.pi, 721.0  # Angle between the outer beams, above as many rad and below as many degrees in degrees
 
 
 def read_scans(
@@ -29,6 +35,7 @@ def read_scans(
     fields, UsageError without angles.
     """
     at = {name.rpartition(".")[2]: k for k, name in enumerate(file.names)}
+    numbers = _geometry(file.names)
     first = columns.find(file, "scans", "range")
     beams = [k for k, name in enumerate(file.names) if RANGE.fullmatch(name)]
     t = columns.find(file, "scans", "t")
@@ -58,9 +65,6 @@ def read_scans(
         what = f"no scans: {file.described()}; columns such as range0, range1 are needed"
         raise DataError.at(file.path, f"{what}, or --columns scans.range=N: all from the N-th on")
     file, beams, stamp = _folded(file, beams[0], columns, odometry) if len(beams) == 1 else (file, beams, None)
-    if scanner is None and not {*STATED} <= {*at}:
-        what = f"{file.path.name} names no {', '.join(name for name in STATED if name not in at)}"
-        raise UsageError(f"--scanner LOW,STEP,MAX, as in -90deg,0.5deg,8m, is needed: {what}")
     slots: IntArray = np.arange(len(beams))
     if scanner is not None and len(scanner) > 3:
         slots, scanner = _uneven(scanner, len(beams))
@@ -72,6 +76,7 @@ def read_scans(
         stamp = columns.stamps(file, "scans", np.ones(len(file), bool)) if stamped else odometry.rows
     found, header = Collected(), SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0), frame_id="laser")
     given = {} if scanner is None else dict(zip(STATED, scanner.tolist(), strict=True))
+    known, unit = {"range_min": 0.0}, 1.0
     for k, (row, line) in enumerate(zip(file.rows, file.line.tolist(), strict=True)):
         fields = [row[j] or "nan" for j in beams] if listed is None else row[listed].strip("()[] ").split(",")
         if (slots != range(len(slots))).any():
@@ -79,20 +84,43 @@ def read_scans(
             fields = [each.get(slot, "nan") for slot in range(max(each) + 1)]
         if (wrong := next((f for f in fields if not is_number(f)), None)) is not None:
             raise DataError.at(file.path, f"{wrong!r} is not a number", line=line)
-        own = {name: float(row[at[name]]) for name in GEOMETRY if name in at and is_number(row[at[name]])}
-        own = {"range_min": 0.0} | own | given
-        own.setdefault("angle_max", own["angle_min"] + (len(fields) - 1) * own["angle_increment"])
+        last = max(len(fields) - 1, 1)
+        known |= {name: si * float(row[j]) for name, (j, si) in numbers.items() if is_number(row[j])} | given
+        own = dict(known)  # of a key alone that of the first row
+        if {"angle_min", "angle_max"} <= {*own}:
+            own.setdefault("angle_increment", (own["angle_max"] - own["angle_min"]) / last)
+        if missing := [name for name in STATED if name not in own]:
+            what = f"{file.path.name} names no {', '.join(missing)}"
+            raise UsageError(f"--scanner LOW,STEP,MAX, as in -90deg,0.5deg,8m, is needed: {what}")
+        own.setdefault("angle_max", own["angle_min"] + last * own["angle_increment"])
+        if k == 0 and not given and TURNS[0] < last * abs(own["angle_increment"]) < TURNS[1]:
+            unit = ANGLE["deg"]
+            columns.notes.append(f"{file.path.name}: inferred: angles of beams in deg, as in rad they pass two turns")
         ranges = [columns.units.factor("scans", "range") * float(f) for f in fields]
-        message = SimpleNamespace(header=header, ranges=ranges, **own)
+        angles = {name: unit * own[name] for name in GEOMETRY[:3]}
+        message = SimpleNamespace(header=header, ranges=ranges, **own | angles)
         found.scans.add(message, float(stamp[k]), f"{file.path}:{line}")
     t = columns.find(file, "scans", "t")  # of a file without names it may be known by now
-    used = (*beams, *(at[n] for n in GEOMETRY if n in at), t)
+    used = (*beams, *(j for j, _ in numbers.values()), t)
     columns.read |= {(file.path, file.names[k]) for k in used if k is not None}
     if mount is not None:
         turned = (0.0, 0.0, math.sin(0.5 * mount[2]), math.cos(0.5 * mount[2]))
         found.tree.add("", header.frame_id, 0.0, (*mount[:2].tolist(), 0.0, *turned), static=True)
     seen = scans_of(file.path, (), found, "", (-math.inf, math.inf))  # the caller drops some
     return seen, Table(file.path, {"t": seen.stamp}, line=np.arange(1, len(seen.stamp) + 1))
+
+
+def _geometry(names: Sequence[str]) -> dict[str, tuple[int, float]]:
+    """Column and unit of each number of `GEOMETRY`, as min_angle, rangeMax [m] or angular_resolution name it."""
+    found: dict[str, tuple[int, float]] = {}
+    for k, name in enumerate(names):
+        words, unit = words_of(name.rpartition(".")[2])
+        two = {ALIKE.get(word, word) for word in words} - {"laser", "lidar", "scan", "scanner"}
+        key = next((g for g in GEOMETRY if {*g.split("_")} == two), "")
+        known = DIMENSIONS["length" if key.startswith("range") else "angle"]
+        if key and unit in ("", *known):
+            found.setdefault(key, (k, known.get(unit, 1.0)))
+    return found
 
 
 def _uneven(scanner: Array, beams: int) -> tuple[IntArray, Array]:

@@ -105,11 +105,12 @@ def test_poses_with_covariance_are_fixes_or_the_truth(maker, tmp_path):
     assert log.truth.pose is None
 
 
-@pytest.mark.parametrize("topic", ["/mocap", "/prism"])
+@pytest.mark.parametrize("topic", ["/mocap", "/prism", "/vector"])
 def test_a_truth_without_headings_is_one_of_positions(maker, tmp_path, topic):
     for t in TIMES.tolist():
         maker.bare_pose(t, (2.0, t, 0.0))
         maker.place(t, (2.0, t))
+        maker._send(t, "/vector", "geometry_msgs/msg/Vector3", x=2.0, y=t, z=0.0)
     maker.poses(1.25, [(2.0, 0.5)])
     flags = ("--truth", topic, "--point-sigma", "0.1")
     log = load(maker, tmp_path, *flags, "--prior", "2,0,0", "--prior-sigma", "0.1,0.1,0.1")
@@ -187,14 +188,16 @@ def test_scans_and_detections_share_their_frames(maker, tmp_path):
     assert r.scans.scanner.translation == (-0.1, 0.0)
 
 
-def test_without_a_topic_of_odometry_transforms_tell_the_motion(tmp_path):
+@pytest.mark.parametrize(("flags", "way"), [((), 4.0), (("--odom", "/plane"), 8.0)])
+def test_without_a_topic_of_odometry_transforms_tell_the_motion_or_poses_that_are_named(tmp_path, flags, way):
     made = Full()
     for t in TIMES.tolist():
+        made._send(t, "/plane", "geometry_msgs/msg/Pose2D", x=2.0 * t, y=0.0, theta=0.0)
         made.transform(t, "odom", "base_link", (t, 0.0, 0.0))
     made.mounting("base_link", "camera", 0.0, 0.0, 0.0)
     made.poses(2.0, [(2.0, 0.5)])
-    r = load(made, tmp_path, "--point-sigma", "0.1").recorded
-    assert r.increments.mean[:, 0].sum() == pytest.approx(4.0)
+    r = load(made, tmp_path, "--point-sigma", "0.1", *flags).recorded
+    assert r.increments.mean[:, 0].sum() == pytest.approx(way)
 
 
 def test_the_list_says_what_each_topic_becomes_and_writes_nothing(maker, tmp_path, capsys):
@@ -243,6 +246,7 @@ def test_detections_that_nothing_mounts_on_the_robot_are_left_out_and_said(maker
         (lambda m: m.poses(1.0, [(2, 1)]), ("--range-sigma", "1"), "--range-sigma 1: no topic of observations: ranges"),
         (lambda m: m._send(1.0, "/w", POINT, x=1.0, y=2.0), ("--skip", "/w"), "--skip /w: it is left out without it"),
         (lambda m: m._send(1.0, "/w", POINT, x=1.0, y=2.0), ("--odom", "/w"), "or v, omega, exported as CSV"),
+        (lambda m: m._send(1.0, "/joint", POINT, x=1.0, y=2.0), ("--odom", "tf"), "/odom, or /joint: ticks left"),
         (lambda m: m.odometry(1.0, (0, 0, 0), "/other"), (), "--odom TOPIC is needed; topics of odometry: /odom"),
         (lambda m: m.satellites(1.0, (48.0, 11.0), 1.0), (), "the first heading in the frame of the fixes is unknown"),
         (lambda m: m.pose(1.0, (0, 0, 0)), (), "/amcl_pose: messages without a covariance; --truth /amcl_pose"),

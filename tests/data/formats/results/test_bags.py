@@ -9,7 +9,7 @@ from data.errors import DataError, UsageError
 from data.formats.results.path import WORLD
 from data.formats.results.reading import read_path
 from eval.score import main as score
-from tests.data.formats.bags.made import START, Full
+from tests.data.formats.bags.made import START, Full, get_types_from_msg
 from tests.data.formats.recordings.ros.bags import FORMS
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -56,6 +56,8 @@ def test_which_topic_must_be_said_where_there_are_several(tmp_path):
     where = bag("mcap", tmp_path)
     with pytest.raises(UsageError, match=r"which topic\? .*:/TOPIC is needed; with poses: /amcl, /odom"):
         read_path(str(where))
+    with pytest.raises(UsageError, match=r"which transform\?.*moving ones: none"):
+        read_path(f"{where}:/tf")
     with pytest.raises(UsageError, match="no poses on /scan; such topics: /amcl, /odom"):
         read_path(f"{where}:/scan")
     assert len(read_path(f"{where}:amcl").time) == 5, "topics of old bags have no slash: it does not matter"
@@ -131,6 +133,31 @@ def test_poses_without_covariance_and_without_stamps_are_read_and_said(tmp_path)
     assert path.pose == pytest.approx(np.array(WAY), abs=1e-12)
     assert path.time - START == pytest.approx(np.arange(30.0), abs=1e-6)
     assert path.notes == ("1 of 30 messages have no stamp: the time of recording is taken",)
+
+
+TURTLE = "float32 x\nfloat32 y\nfloat32 theta\nfloat32 linear_velocity\nfloat32 angular_velocity"
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_poses_and_places_without_a_header_have_the_time_of_recording(form, tmp_path):
+    maker, turtle = Full(form), "turtlesim/msg/Pose"
+    maker.store.register(get_types_from_msg(TURTLE, turtle))
+    for k, (x, y, a) in enumerate(WAY):
+        maker._send(float(k), "/turtle", turtle, x=x, y=y, theta=a, linear_velocity=0.0, angular_velocity=0.0)
+        maker._send(float(k), "/plane", "geometry_msgs/msg/Pose2D", x=x, y=y, theta=a)
+        maker.messages.append((float(k), "/pose", "geometry_msgs/msg/Pose", maker._pose(x, y, a)))
+        maker._send(float(k), "/vector", "geometry_msgs/msg/Vector3", x=x, y=y, z=0.0)
+        maker.poses(float(k), [(x, y)], topic="/one")
+        maker.poses(float(k), [(x, y), (x, y)], topic="/two")
+    where = maker.save(tmp_path)
+    for topic, told in (("turtle", 1), ("plane", 1), ("pose", 1), ("vector", 2), ("one", 0)):
+        path = read_path(f"{where}:/{topic}")
+        known = 3 if topic in ("turtle", "plane", "pose") else 2
+        assert path.pose[:, :known] == pytest.approx(np.array(WAY)[:, :known], abs=1e-5)
+        assert path.time - START == pytest.approx(np.arange(30.0), abs=1e-6)
+        assert len(path.notes) == told, "the time of recording is said, and that headings are absent"
+    with pytest.raises(DataError, match="2 poses in a message; one is needed"):
+        read_path(f"{where}:/two")
 
 
 def test_half_a_covariance_of_a_message_is_mirrored_and_a_bent_one_refused(tmp_path):

@@ -234,7 +234,8 @@ def test_latitudes_in_rad_and_a_column_for_two_quantities(convert):
         z = convert(files, *words, "--unit", unit)[0].recorded.fixes.z
         assert z[:, :2] == pytest.approx(POSE[:, :2], rel=5e-3, abs=0.03)
     counts = files | {"gps.csv": text("t,lat,lon", T, np.round(np.degrees(place) * 1e7))}
-    assert (unit := "lat=1e-7deg,lon=1e-7deg") in convert(counts, *words, status=2)
+    unit = "lat=1e-7deg,lon=1e-7deg"
+    assert unit in convert(counts, *words, status=2)
     z = convert(counts, *words, "--unit", unit)[0].recorded.fixes.z
     assert z[:, :2] == pytest.approx(POSE[:, :2], rel=5e-3, abs=0.03)
     assert "column t is named for t and x" in convert(files, *words, "--columns", "fixes.x=t,fixes.y=lat", status=2)

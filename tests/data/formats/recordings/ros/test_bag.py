@@ -7,7 +7,9 @@ import pytest
 
 from data.errors import DataError, UsageError
 from data.formats.bags import laser_log
+from data.formats.recognize import what_to_type
 from data.formats.recordings.mending import Mending
+from data.formats.results.reading import read_path
 from tests.data.formats.recordings.ros.bags import FORMS, START, Maker
 
 LEVEL = np.arange(0.0, 3.01, 0.5)
@@ -38,6 +40,28 @@ def test_scans_are_frames_with_the_odometry_between_its_messages(form, tmp_path)
     scanner = recorded.scans.scanner
     assert (scanner.angle_min, scanner.angle_step, scanner.max_range) == (-0.5, 0.5, 8.0)
     assert scanner.translation == (-0.25, 0.0)
+
+
+@pytest.mark.parametrize(("change", "names"), [
+    (lambda f: (f / "small.db3").rename(f / "other.db3"), ("small",)),
+    (lambda f: (f / "metadata.yaml").unlink(), ("small", "small/small.db3")),
+    (lambda f: None, ("small/metadata.yaml",)),
+])  # fmt: skip
+def test_a_bag_of_ros_2_is_read_without_its_metadata_renamed_or_by_them(tmp_path, change, names):
+    made = Maker("sqlite3")
+    made.drive(LEVEL)
+    folder = made.save(tmp_path)
+    change(folder)
+    for name in names:
+        assert len(read_path(str(tmp_path / name)).time) == len(LEVEL)
+        assert "a ROS bag" in what_to_type(tmp_path / name)
+        with pytest.raises(UsageError, match=r"no LaserScan; .*/small.*:/odom TRUTH"):
+            laser_log(tmp_path / name)
+    bag = next(folder.glob("*.db3"))
+    (folder / "else.db3").write_bytes(bag.read_bytes())
+    (folder / "metadata.yaml").unlink(missing_ok=True)
+    with pytest.raises(DataError, match=r"several bags without metadata\.yaml: else\.db3, "):
+        read_path(str(folder))
 
 
 def test_a_laser_upside_down_looks_the_other_way_round(maker, tmp_path):
