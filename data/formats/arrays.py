@@ -158,7 +158,10 @@ def columns_of(
     found = named(path)
     structs = [name for name, value in found.items() if isinstance(value, dict) or
                (isinstance(value, list) and any(key for struct in value for key in struct))]  # fmt: skip
-    along = {np.size(value) for name, value in found.items() if name.lower() in STAMP and kind_of(value) == "numbers"}
+    flat = [
+        (name, np.shape(value)) for name, value in found.items() if kind_of(value) == "numbers" and np.ndim(value) < 3
+    ]
+    along = {max(shape) for name, shape in flat if shape and (name.lower() in STAMP or 1 < min(shape) <= WIDE[0])}
     columns: Columns = {}
     for name, value in found.items():
         turned = np.ndim(value) == 2 and len(value.T) in along and len(value) not in along

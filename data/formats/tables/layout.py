@@ -77,6 +77,8 @@ def _parts(file: TextTable) -> list[TextTable]:
 def _names(rows: Sequence[tuple[str, ...]], role: str) -> tuple[str, ...]:
     """Quantities of the columns of a path, of velocities or a map; none if unclear."""
     values = np.array(rows, float)
+    if not np.isfinite(values).all():
+        return ()
     if role == "map":
         ids = values[:, 0]
         whole = values.shape[1] == 3 and (ids == np.abs(np.round(ids))).all()

@@ -19,7 +19,7 @@ from data.digest import file_sha256
 from data.errors import DataError, UsageError, unknown
 from data.formats.messages import file_and_word, parts_of
 from data.formats.open_log import Recording, Samples
-from data.formats.recordings.laser import FLOOR
+from data.formats.recordings.laser import FLOOR, without_odometry
 from data.formats.results.path import ABSENT, COARSE, in_order, unturned
 from data.formats.second_odometry import together
 from data.formats.tables.files import QUATERNION, SCANS, SECOND, TextTable, headings, nothing_there
@@ -422,6 +422,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
         sensors=sensors if len(sensors) > 1 else (), map=known, time_is_index=not odometry.stamped,
         covariance_floor=FLOOR, floored=floored, fixes=fixes, closures=together(measured), scans=scans,
     )  # fmt: skip
+    inputs = without_odometry(inputs) if wanted.blind else inputs
     several = [of.sensor.label for of in wanted.sensors if of.sensor.label]
     files = {role: path.name for role, path in wanted.files.items() if role not in several}
     each = {role: [path] if path.is_dir() else parts_of(path) for role, path in wanted.files.items()}

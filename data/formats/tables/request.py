@@ -28,7 +28,7 @@ from data.formats.tables import files as table_files, motion
 from data.formats.tables.files import POSE, ROLES, SCANS, SECOND, STAMPED, STARRED, Columns, Given, TextTable, Units
 from data.formats.tables.layout import by_layout, landmarks_in_rows, named_alike, seen_by_layout
 from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of, path_of
-from data.formats.tables.scans import BEAMS
+from data.formats.tables.scans import BEAMS, wide_in
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise
 from data.origin import Origin, Origins
 from data.se2 import Array
@@ -262,6 +262,7 @@ class Wanted:
     second: Second | None = None
     scanner: Array | None = None  # (3,) first angle, step [rad] and reach [m] of scans; None: columns state them
     mount: Array | None = None  # (3,) pose of the scanner on the robot
+    blind: bool = False  # without odometry: scans alone tell the motion
     assumed: tuple[str, ...] = ()  # quantities of `Origins` that nobody stated
 
 
@@ -354,6 +355,8 @@ def settle(given: Given) -> Wanted:
         own = [n for key, n in named.items() if key.startswith(f"{role}.") and texts["odometry"].find(n) is not None]
         if not own and role in ("truth", "fixes") and texts["odometry"].named:
             own = columns.quiet.tells(texts["odometry"], role)
+        if not own and role == SCANS and not {OBSERVATIONS, *several} & {*files}:
+            own = wide_in(texts["odometry"], stated="scanner" in given)
         if own:
             files[role], texts[role] = files["odometry"], texts["odometry"]
             columns.notes.append(f"inferred: --{role} {files[role]}, of its columns {', '.join(own)}")
@@ -393,6 +396,12 @@ def settle(given: Given) -> Wanted:
             texts[OBSERVATIONS], texts["map"], told = placed
             files["map"] = files[OBSERVATIONS]
             columns.notes.append(f"{files['map'].name}: inferred: {told}")
+    known = any(columns.quiet.has(texts["odometry"], "odometry", measured) for measured in KINDS.values())
+    if blind := texts.get(SCANS) is texts["odometry"] and not known and "odometry-kind" not in given:
+        for q in KINDS["poses"]:
+            texts["odometry"] = texts["odometry"].beside(q, np.zeros(len(texts[SCANS]), int))
+        columns.given = {**columns.given, **{f"odometry.{q}": q for q in KINDS["poses"]}}
+        columns.notes.append(f"{files[SCANS].name}: no odometry in it: matching of scans alone tells the motion")
     kind = _kind(given, texts, columns, "odometry", tuple(KINDS))
     beside = texts.get(OBSERVATIONS) is texts["odometry"] and not {"fixes", "observation-sigma"} & {*given}
     if beside and "fixes" not in texts and _are_places(texts, columns, kind):
@@ -467,7 +476,7 @@ def settle(given: Given) -> Wanted:
         backward=table_files.one_of(given, "hold", ("forward", "backward")) == "backward", second=second,
         scanner=_scanner(given),
         mount=numbers_of({**given, "sensor-pose": poses.get(SCANS, poses.get(""))}, "sensor-pose"),
-        assumed=("odometry_noise",) * ("odometry-sigma" not in given) + ("prior",) * starts,
+        blind=blind, assumed=("odometry_noise",) * ("odometry-sigma" not in given) + ("prior",) * starts,
         **_of_fixes(given, files, texts, columns.quiet),
     )  # fmt: skip
 

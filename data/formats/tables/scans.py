@@ -64,6 +64,11 @@ def read_scans(
     if not beams and listed is None:
         what = f"no scans: {file.described()}; columns such as range0, range1 are needed"
         raise DataError.at(file.path, f"{what}, or --columns scans.range=N: all from the N-th on")
+    if scanner is None and not {"angle_min", "angle_max"} <= {*numbers} and not {*STATED} <= {*numbers}:
+        scanner = _listed_angles(file, beams, columns)
+    there = [k for k, row in enumerate(file.rows) if listed is not None or any(row[j] for j in beams)]
+    if len(beams) > 1 and len(there) < len(file):  # a shorter array than others
+        file = replace(file, rows=tuple(file.rows[k] for k in there), line=file.line[there])
     file, beams, stamp = _folded(file, beams[0], columns, odometry) if len(beams) == 1 else (file, beams, None)
     slots: IntArray = np.arange(len(beams))
     if scanner is not None and len(scanner) > 3:
@@ -72,8 +77,9 @@ def read_scans(
         what = f"{len(beams)} beams, {math.degrees(scanner[1]):.4g} deg apart, pass a full turn"
         raise UsageError(f"--scanner: {what}; are there intensities between the ranges? Leave their columns out")
     if stamp is None:
-        stamped = bool(alone[1]) if alone else t is not None or len(file) != len(odometry.rows)
-        stamp = columns.stamps(file, "scans", np.ones(len(file), bool)) if stamped else odometry.rows
+        rows = odometry.rows if len(file) == len(odometry.rows) else odometry.rows[~np.isnan(odometry.rows)]
+        stamped = bool(alone[1]) if alone else t is not None or len(file) != len(rows)
+        stamp = columns.stamps(file, "scans", np.ones(len(file), bool)) if stamped else rows
     found, header = Collected(), SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0), frame_id="laser")
     given = {} if scanner is None else dict(zip(STATED, scanner.tolist(), strict=True))
     known, unit = {"range_min": 0.0}, 1.0
@@ -108,6 +114,47 @@ def read_scans(
         found.tree.add("", header.frame_id, 0.0, (*mount[:2].tolist(), 0.0, *turned), static=True)
     seen = scans_of(file.path, (), found, "", (-math.inf, math.inf))  # the caller drops some
     return seen, Table(file.path, {"t": seen.stamp}, line=np.arange(1, len(seen.stamp) + 1))
+
+
+def wide_in(file: TextTable, *, stated: bool) -> list[str]:
+    """First and last name of the only columns of a scan in a table of other things: numbered, at least `BEAMS`, whose
+    names tell it where no scanner is `stated`.
+    """
+    runs = [names for _, run in groupby(file.names, key=stem_of) if len(names := list(run)) >= BEAMS and file.named]
+    told = [names for names in runs if "cov" not in names[0].lower() and (stated or SCANNED.search(names[0].lower()))]
+    return [told[0][0], told[0][-1]] if len(told) == 1 else []
+
+
+SCANNED = re.compile(r"range|scan|laser|lidar|beam|ray|^d(ist(ance)?)?_?\d")
+
+
+def _listed_angles(file: TextTable, beams: Sequence[int], columns: Columns) -> Array | None:
+    """Angles of all beams, of the only array of angles that has as many numbers, and the farthest range; else None."""
+    found = []
+    for k, name in enumerate(file.names):
+        fields = [row[k] for row in file.rows if row[k]]
+        if (
+            k not in beams
+            and len(fields) == len(beams)
+            and {*words_of(name)[0]} & LISTED
+            and all(map(is_number, fields))
+        ):
+            found.append((name, np.array(fields, float)))
+    if len(found) != 1:
+        return None
+    name, angles = found[0]
+    deg = words_of(name)[1] == "deg" or float(np.ptp(angles)) > TURNS[0]
+    ranges = np.array([row[j] for row in file.rows for j in beams if is_number(row[j])], float)
+    farthest = float(ranges[np.isfinite(ranges)].max(initial=0.0))  # where several have it, what stands for no return
+    reach = columns.units.factor("scans", "range") * farthest * (1.0 if np.sum(ranges == farthest) > 2 else 1.001)
+    columns.read.add((file.path, name))
+    columns.notes.append(
+        f"{file.path.name}: inferred: {name} are the angles of beams{', in deg' * deg}; reach {reach:g} m"
+    )
+    return np.append(angles * (ANGLE["deg"] if deg else 1.0), reach)
+
+
+LISTED = frozenset(("angle", "angles", "bearing", "bearings", "azimuth", "azimuths", "theta", "phi"))
 
 
 def _geometry(names: Sequence[str]) -> dict[str, tuple[int, float]]:

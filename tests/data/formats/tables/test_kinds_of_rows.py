@@ -115,6 +115,28 @@ def test_scans_without_names_alone_or_behind_row_numbers_or_stamps_are_known(rea
         assert "or --columns scans.range=N" in unread(files | {"scan.csv": refused}, "--scans", "scan.csv")
 
 
+@pytest.mark.parametrize("lying", [False, True])
+def test_scans_of_an_array_beside_the_odometry_have_the_angles_of_another(convert, tmp_path, lying):
+    """An instant in each column, as MATLAB's programs have them, too; without odometry scans alone tell the motion."""
+    far, pose = np.random.default_rng(0).uniform(1.0, 7.0, (300, 41)), np.zeros((300, 3))
+    pose[:, 0] = 0.01 * np.arange(300)
+    parts = {"scans": far.T if lying else far, "odom": pose.T if lying else pose, "angles": np.arange(-80.0, 81.0, 4.0)}
+    path = tmp_path / "log.npz"
+    np.savez(path, **parts)
+    log, said = convert({}, "table", str(path), "out", "--period", "0.2s")
+    assert log.recorded.scans.ranges == pytest.approx(far)
+    assert (log.recorded.scans.scanner.angle_min, log.recorded.scans.scanner.angle_step) == pytest.approx(
+        (-np.pi / 2.25, np.pi / 45.0)
+    )
+    assert "inferred: --scans" in said
+    assert log.recorded.increments.mean[1] == pytest.approx([0.01, 0.0, 0.0])
+    np.savez(path, time=0.2 * np.arange(300), scans=parts["scans"], angles=parts["angles"])
+    log, said = convert({}, "table", str(path), "out")
+    assert "scans alone tells the motion" in said
+    assert not log.recorded.increments.mean.any()
+    assert log.recorded.increments.covariance[1, 0, 0] > 0.01
+
+
 def test_scans_beyond_the_odometry_are_left_out_and_said_and_their_stamps_are_used(read):
     text = "t,range0,range1,range2\n" + "".join(f"{0.5 * k},1,2,3\n" for k in range(-2, 9))
     files = {"odo.csv": "t,x,y,theta\n0,0,0,0\n1,1,0,0\n2,2,0,0\n", "scans.csv": text}
