@@ -21,7 +21,7 @@ class World:
     """A world and its texts."""
 
     module: str  # with its function `simulate(parameters, seed, name)`
-    parameters: str  # in that module, the dataclass of its parameters
+    parameters: str  # in that module, the dataclass of its parameters; a field's metadata `help` is its flag's
     example: str  # names of its logs
     help: str = ""  # of its kind of `python -m data.convert`; empty if that writes something else
     counts: tuple[str, ...] = ()  # further keys of its names, whole numbers from 1 up that are no parameters
