@@ -62,8 +62,7 @@ def ml_ratio(expectation: Expectation, gate: float | None, *, alpha: float = ALP
     if d2.shape[1] == 0:
         return np.full(len(d2), NEW, np.int64)
     everything = np.column_stack([d2, np.full(len(d2), alpha)])
-    # landmarks first: one with d^2 = alpha precedes "new", and the ratio discards it
-    best = np.argmin(everything, axis=1)
+    best = np.argmin(everything, axis=1)  # landmarks first: d^2 = alpha precedes "new", and the ratio discards it
     two = np.partition(everything, 1, axis=1)
     winner = np.append(e.number, NEW)[best]
     inside = (best == d2.shape[1]) | (two[:, 0] < threshold)

@@ -259,8 +259,7 @@ class Inputs:
     systematic: Systematic | None = None  # systematic errors to estimate (None: none)
     fixes: Fixes | None = None  # absolute measurements of the pose, such as GPS (None: none)
     closures: Closures | None = None  # measured relative poses between frames (None: none)
-    # all sensors of a log with several, of which `sensor` is the first; empty: there is one
-    sensors: tuple[Sensor, ...] = ()
+    sensors: tuple[Sensor, ...] = ()  # of a log with several, of which `sensor` is the first; empty: there is one
     start: IntArray = field(init=False)  # (N + 1,) offsets; the observations of frame k are rows start[k]:start[k + 1]
 
     def __post_init__(self) -> None:

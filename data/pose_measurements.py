@@ -111,8 +111,7 @@ class Closures(_Known):
     Those of a log, or those that are known at one of its frames.
     """
 
-    # frame1, frame2: (K,) different frames, in either order; ascending by the later one
-    frame1: IntArray
+    frame1: IntArray  # frame1, frame2: (K,) different frames, in either order; ascending by the later one
     frame2: IntArray
     relative: Array  # (K, 3) pose of frame2 in the frame of frame1 [m, m, rad]
     covariance: Array  # (K, 3, 3) of its additive error, in the frame of frame1
@@ -197,8 +196,7 @@ class PoseUpdated(NamedTuple):
     used: NDArray[np.bool_]  # (F,) accepted
     nis: Array  # (F,) normalized innovation squared of each by itself, at its turn; NaN: not formed, or not reached
     dof: IntArray  # (F,) its degrees of freedom
-    # (F, 3) innovations whitened by the Cholesky factor of their covariance; NaN: not measured or not formed
-    white: Array
+    white: Array  # (F, 3) innovations whitened by their covariance's Cholesky factor; NaN: not measured or formed
     S: Array  # (F, 3, 3) covariance of the innovations; NaN: not measured, not formed, or not kept
     gate: float | None = None  # chi-square probability of the gate; None: there was none
 

@@ -47,8 +47,7 @@ class Truth(Locked):
     # (N, 3), NaN rows where missing or marked bad; a heading alone may be NaN: only the position is known
     pose: Array | None = None
     landmarks: LandmarkMap | None = None  # true landmark positions by id
-    # (M,) true id per observation, `CLUTTER` for false alarms, `UNKNOWN_ID` if unknown
-    landmark_of: IntArray | None = None
+    landmark_of: IntArray | None = None  # (M,) true id per observation, `CLUTTER` for false alarms, `UNKNOWN_ID`
     relations: Relations | None = None  # reference relations of a laser log
     errors: Systematics | None = None  # true systematic errors of a simulated robot, by frame (sigma is zero)
     left_out: tuple[BadTruth, ...] = ()  # windows of bad ground truth, whose poses are NaN
@@ -56,8 +55,7 @@ class Truth(Locked):
     excluded: tuple[tuple[float, float], ...] = ()
     # windows of bad ground truth were looked for, or are scored on request (`data.truth_windows.scored`)
     screened: bool = False
-    # (F,) 1 where a fix is right, 0 where it is an outlier, -1 unknown; None: not stated
-    fix_inlier: IntArray | None = None
+    fix_inlier: IntArray | None = None  # (F,) 1 where a fix is right, 0 an outlier, -1 unknown; None: not stated
     closure_inlier: IntArray | None = None  # (K,) the same of each closure
 
     @property

@@ -21,12 +21,11 @@ class World:
     """A world and its texts."""
 
     module: str  # with its function `simulate(parameters, seed, name)`
-    parameters: str  # in that module, the dataclass of its parameters
+    parameters: str  # in that module, the dataclass of its parameters; a field's metadata `help` is its flag's
     example: str  # names of its logs
     help: str = ""  # of its kind of `python -m data.convert`; empty if that writes something else
     counts: tuple[str, ...] = ()  # further keys of its names, whole numbers from 1 up that are no parameters
-    # of a world with images, function of (name, reading, say) that opens a log by its name; blank: `simulate`
-    opens: str = ""
+    opens: str = ""  # of a world with images, function of (name, reading, say) that opens a log; blank: `simulate`
 
 
 @dataclass(frozen=True)
@@ -77,18 +76,15 @@ class Wing:
     images: tuple[str, ...] = ()
     # functions of (folder, output, trial) that give sections of the report on one log and task
     log_sections: tuple[str, ...] = ()
-    # functions of (folder, output, trials, pictures of each, in_lab, factor) that give sections
-    sections: tuple[str, ...] = ()
-    # functions of (name, estimators, setup, reading, say) that give the experiments of `--lab`
-    plans: tuple[str, ...] = ()
+    sections: tuple[str, ...] = ()  # functions of (folder, output, trials, pictures of each, in_lab, factor): sections
+    plans: tuple[str, ...] = ()  # functions of (name, estimators, setup, reading, say) to the experiments of `--lab`
     # functions of (name, selection, setup, reading, say) that give the experiments of `--cooperative`
     teams: tuple[str, ...] = ()
     # functions of (folder, options, trials, scores, unfinished) that give sections that come first
     hand_in: tuple[str, ...] = ()
     # functions of (folder, trials, scores, sections of `hand_in`, other sections) of `--write-up`
     write_up: tuple[str, ...] = ()
-    # functions of (options, trials) that give settings by log, kept in `provenance.json`
-    settings: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()  # functions of (options, trials) to settings by log, kept in `provenance.json`
     templates: str = ""  # package with a folder `templates` of words of the report; blank: none
 
 

@@ -336,8 +336,7 @@ def _in_world(
     across = -solution.columns @ (solution.covariance * sigma[at])
     out, J = motion.frame.poses_out(pose, errors)
     of_path = _joint(covariance[:n], across[:n], of_errors)
-    # from the body frame to the sensor's world, then to the robot's world
-    J = J[:, :, np.concatenate([np.arange(3), 3 + at])]
+    J = J[:, :, np.concatenate([np.arange(3), 3 + at])]  # from the body to the sensor's world, then to the robot's
     J[:, :, :3] = J[:, :, :3] @ worlds_from_bodies(pose[:, 2])
     world = J @ of_path @ J.transpose(0, 2, 1)
     world[:1] = covariances_in_world(out[:1, 2], covariance[:1])

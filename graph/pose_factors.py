@@ -132,8 +132,7 @@ def _antenna(
 def closure_factors(closures: pose_measurements.Closures, loss: str = "gaussian") -> list[PoseFactor]:
     """Closures (c) as factors. Raises DataError for a singular covariance."""
     first, second = closures.frame1.tolist(), closures.frame2.tolist()
-    # the error in the frame of frame1, from gtsam's in that of frame2
-    turn = worlds_from_bodies(closures.relative[:, 2])
+    turn = worlds_from_bodies(closures.relative[:, 2])  # the error in frame1's frame, from gtsam's in frame2's
 
     def named(i: int) -> str:
         return f"closure of {closures.sources[closures.source[i]]} between frames {first[i]} and {second[i]}"

@@ -61,17 +61,14 @@ class Calibration:
     scale_omega: float = 1.0  # factor on its angular velocity
     turn_limit: float = math.inf  # rad/s; largest turn rate of the robot (after `scale_omega`)
     turn_drag: float = 0.0  # m/rad; speed lost per turn rate (as limited), without reversing
-    # a command acts from half-way between the stamp before it and its own (at most 0.5 s earlier)
-    midpoint_hold: bool = False
+    midpoint_hold: bool = False  # a command acts from half-way between the stamp before and its own (at most 0.5 s)
     odometry_delay: float = 0.0  # s from the stamp of a command to its effect
     latency: float = 0.0  # s from the exposure of an image to its stamp
     range_is_depth: bool = False  # the measured range is the depth, true range * cos(measured bearing)
-    # range_scale: range_bias: m; measured range = range_scale * true range (or depth) + range_bias
-    range_scale: float = 1.0
+    range_scale: float = 1.0  # range_scale, range_bias [m]: measured = scale * true range (or depth) + bias
     range_bias: float = 0.0
     bearing_bias: float = 0.0  # rad; measured bearing = true bearing + bearing_bias
-    # sigma_range: m, sigma_bearing: rad, standard deviations of a corrected observation
-    sigma_range: float = 0.15
+    sigma_range: float = 0.15  # sigma_range: m, sigma_bearing: rad, standard deviations of a corrected observation
     sigma_bearing: float = 0.1
     sigma_range_growth: float = 0.0  # m/m; the range sigma is sigma_range + sigma_range_growth * (corrected range)
     motion: VelocityModel = MOTION  # how odometry becomes increments, and its noise
@@ -360,15 +357,13 @@ def corrected_landmarks(source: Path) -> Path | None:
 class Treatment:
     """Processing of a recording. Raises UsageError for an invalid value."""
 
-    # start, stop: s, the wanted window (origin: see the module)
-    start: float | None = None
+    start: float | None = None  # start, stop: s, the wanted window (origin: see the module)
     stop: float | None = None
     landmarks: Path | None = None  # file instead of the dataset's Landmark_Groundtruth.dat
     exclude_truth: Sequence[tuple[float, float]] = ()  # stretches (from, to) [s] of bad truth, ends included
     grid: float | None = None  # s, resample to frames this far apart, as in the classic tutorials
     calibration: Calibration = FROZEN  # corrections and noise of odometry and camera
-    # (m, rad), standard deviations of position and heading at the start
-    prior_sigma: tuple[float, float] = (0.05, 0.05)
+    prior_sigma: tuple[float, float] = (0.05, 0.05)  # (m, rad), standard deviations of position and heading at first
 
     def __post_init__(self) -> None:
         for name, value in (("start", self.start), ("stop", self.stop)):
@@ -400,16 +395,13 @@ class Recorded:
 
     robot: int
     origin: float
-    # odometry: (K, 3) instant, v, omega; truth: (G, 4) t, x, y, theta, or None
-    odometry: Array
+    odometry: Array  # odometry: (K, 3) instant, v, omega; truth: (G, 4) t, x, y, theta, or None
     truth: Array | None
-    # at, z, seen, barcode: (M,) instants of observations, (M, 2), (M,) subjects, `UNKNOWN_BARCODE` for none, (M,)
-    at: Array
+    at: Array  # instants of observations (M,); z (M, 2); seen (M,): subjects, or `UNKNOWN_BARCODE`; barcode (M,)
     z: Array
     seen: IntArray
     barcode: Array
-    # first, last: s, the window of the log; notes: about it
-    first: float
+    first: float  # first, last: s, the window of the log; notes: about it
     last: float
     notes: tuple[str, ...]
 

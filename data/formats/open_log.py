@@ -154,12 +154,10 @@ Table = dict[str, Sequence[Any]]  # Columns by name
 class Samples:
     """Velocities as recorded, from which a log's increments were preintegrated."""
 
-    # time, velocity: (K,) s, (K, 2) m/s and rad/s
-    time: Array
+    time: Array  # time, velocity: (K,) s, (K, 2) m/s and rad/s
     velocity: Array
     model: VelocityModel  # of the increments
-    # stamps [s] and poses (L, 3) of the truth as recorded, NaN where unknown; None: none
-    truth: tuple[Array, Array] | None
+    truth: tuple[Array, Array] | None  # stamps [s], poses (L, 3) of the truth as recorded, NaN where unknown; or None
 
 
 class Recording(NamedTuple):

@@ -67,27 +67,22 @@ EXACT, LOUDEST = 1e-3, 1.0  # Least and largest noise over what is compared: rou
 class Case:
     """The parts of a log as they are read."""
 
-    # time: (N,) s of frames; u: (N, 3) increments; spread: (N, 3) their variances along, across and in heading
-    time: Array
+    time: Array  # time: (N,) s of frames; u: (N, 3) increments; spread: (N, 3) their variances along, across, heading
     u: Array
     spread: Array
     start: Array  # (3,) first pose
-    # truth, truth_time: (N, 3) true poses, NaN where unknown, and their stamps
-    truth: Array | None
+    truth: Array | None  # truth, truth_time: (N, 3) true poses, NaN where unknown, and their stamps
     truth_time: Array
-    # frame, at: (M,) frame and stamp of observations; z: (M, 2) range and bearing; R: (M, 2) their variances
-    frame: IntArray
+    frame: IntArray  # frame, at: (M,) frame, stamp of observations; z, R: (M, 2) range and bearing, their variances
     at: Array
     z: Array
     R: Array
     mount: Array  # (3,) pose of the sensor on the body
     id: IntArray | None  # (M,) landmarks, negative where unknown; None: there are no ids
-    # names, places: (L,) and (L, 2) of the map; None: there is none
-    names: IntArray | None
+    names: IntArray | None  # names, places: (L,) and (L, 2) of the map; None: there is none
     places: Array | None
     world: bool = False
-    # cartesian: points are observed; world: bearings count from the world's x axis
-    cartesian: bool = False
+    cartesian: bool = False  # cartesian: points are observed; world: bearings count from the world's x axis
     stamped: bool = True  # stamps are in s
     kind: str = "velocities"  # of the odometry, as of tables
     # (N,) samples of velocities in each increment, of arcs; None: another order of turning is stated

@@ -92,8 +92,7 @@ def family_p(real: Array, twins: Array) -> Array:
         return result
     own, others = evened(*standardized(real[known], twins[:, known]))
     order = np.argsort(-own, kind="stable")
-    # largest of this statistic and of all after it
-    rest = np.maximum.accumulate(others[:, order[::-1]], axis=1)[:, ::-1]
+    rest = np.maximum.accumulate(others[:, order[::-1]], axis=1)[:, ::-1]  # largest of this statistic and all after it
     result[known[order]] = np.maximum.accumulate((1 + np.sum(rest >= own[order], axis=0)) / (n + 1))
     return result
 

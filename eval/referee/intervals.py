@@ -152,8 +152,7 @@ def resampled_means(values: Array, block: float, rng: np.random.Generator, repli
     np.cumsum(np.concatenate([values, values]), axis=0, out=twice[1:])
     # number of blocks: eight standard deviations above its mean
     width = min(n, math.ceil(n / block + 8.0 * math.sqrt(n / block)) + 1)
-    # the whole part of an exponential variable is geometric
-    scale = -1.0 / math.log1p(-1.0 / block) if block > 1.0 else 0.0
+    scale = -1.0 / math.log1p(-1.0 / block) if block > 1.0 else 0.0  # the whole part of an exponential is geometric
     at_once = max(1, CHUNK // width)
     sums = np.empty((replicates, k))
     for first in range(0, replicates, at_once):

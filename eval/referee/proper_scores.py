@@ -24,8 +24,7 @@ def log_score(error: Array, covariance: Array) -> Array:
     """
     result = np.full(len(error), np.nan)
     rows = _known(error, covariance)
-    # the correlation matrix makes the accuracy independent of units
-    correlation, sigma = correlations(covariance[rows])
+    correlation, sigma = correlations(covariance[rows])  # the correlation matrix makes accuracy independent of units
     volume = np.linalg.slogdet(correlation)[1] + 2.0 * np.log(sigma).sum(axis=1)
     result[rows] = 0.5 * (squares(error[rows] / sigma, correlation) + volume + error.shape[1] * math.log(2.0 * math.pi))
     return result

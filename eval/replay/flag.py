@@ -22,8 +22,7 @@ class Flag:
     read: Read  # the kind of its values
     metavar: str  # of the value; empty for a switch
     help: str  # one line for `--help`
-    # whether the estimators' numbers depend on it, so that it belongs to the command that reproduces them
-    numbers: bool = True
+    numbers: bool = True  # whether estimators' numbers depend on it: it belongs to the command that reproduces them
     repeatable: bool = False  # given once for each value
     short: str = ""  # one letter
     bare: str = ""  # the value of a flag without one; empty: a value is needed

@@ -17,8 +17,7 @@ class PoseMeasurements:
         self.gate = gate
         self._fixes, self._closures = given.fixes, given.closures
         self._fixable, self._closable = fixable, closable
-        # what became of the present frame's; None: it has none, or they were not used
-        self.fixed: PoseUpdated | None = None
+        self.fixed: PoseUpdated | None = None  # what became of the present frame's; None: it has none, or none was used
         self.closed: PoseUpdated | None = None
         keep_frames(given, closable)
 

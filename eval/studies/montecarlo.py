@@ -37,12 +37,9 @@ class Sample:
     means: Mapping[str, float] = field(default_factory=dict)
     # NEES at the last frame; `error_...`: of an estimated systematic error
     ends: Mapping[str, float] = field(default_factory=dict)
-    # mean squared error of `position` [m^2] and `heading` [rad^2]
-    squares: Mapping[str, float] = field(default_factory=dict)
-    # NEES averaged as the scenario's published numbers are
-    published: Mapping[str, float] = field(default_factory=dict)
-    # (N,) pose NEES of every frame that counts, NaN before
-    nees_pose: Array = field(default_factory=lambda: np.empty(0))
+    squares: Mapping[str, float] = field(default_factory=dict)  # mean squares of `position` [m^2], `heading` [rad^2]
+    published: Mapping[str, float] = field(default_factory=dict)  # NEES averaged as the scenario's published ones
+    nees_pose: Array = field(default_factory=lambda: np.empty(0))  # (N,) pose NEES of frames that count, else NaN
     failure: str | None = None  # where and why it stopped, or is `implausible`; then nothing else is filled in
     trace: str = ""  # the traceback of crashed foreign code
     implausible: bool = False

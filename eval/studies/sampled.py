@@ -34,8 +34,7 @@ class Sample:
     failures: Mapping[str, str] = field(default_factory=dict)  # reasons, by estimator
     # RMS [m] between an online path and the batch smoother's, by estimator
     apart: Mapping[str, float] = field(default_factory=dict)
-    # mean pose NEES by estimator and phase (of a twin)
-    nees: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    nees: Mapping[tuple[str, str], float] = field(default_factory=dict)  # mean pose NEES by estimator and phase (twins)
     # tp, tn, fp, fn of the final decisions by estimator (of a twin)
     counts: Mapping[str, tuple[int, int, int, int]] = field(default_factory=dict)
 

@@ -414,8 +414,7 @@ class Detector:
                 what = f"reference image {number} of {len(references)}: {len(frontal)} features, at least "
                 raise DataError(f"{what}{MIN_REFERENCE_FEATURES} are needed; use a picture with more texture")
             h, w = small.shape[:2]
-            # outer edge of the outer pixels
-            self.corners.append(np.array([[0, 0], [w, 0], [w, h], [0, h]], float) - 0.5)
+            self.corners.append(np.array([[0, 0], [w, 0], [w, h], [0, h]], float) - 0.5)  # edge of the outer pixels
             self.aspects.append(reference.shape[0] / reference.shape[1])
             both = frontal, squeezed_view(small, REFERENCE_FEATURES[1])
             place, scale, descriptor = ([getattr(f, name) for f in both] for name in ("place", "scale", "descriptor"))

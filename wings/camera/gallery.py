@@ -204,8 +204,7 @@ class Scene(Locked):
     corners: Array  # (L, 4, 3) m, corners of the pictures in the world, in the order of `data.pictures`
     time: Array  # (N,) s
     pose: Array  # (N, 3) true poses
-    # command, recorded: (N, 2) true and recorded v [m/s] and omega [rad/s]; each holds until the next frame
-    command: Array
+    command: Array  # command, recorded: (N, 2) v [m/s] and omega [rad/s], true and recorded, held until the next frame
     recorded: Array
     setup: VisualSetup  # known to the estimators; its prior mean is drawn from N(truth, P0)
 

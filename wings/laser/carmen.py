@@ -521,8 +521,7 @@ def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice], Orig
     if mounting.any():
         x, y, turned = mounting[0], mounting[1], math.degrees(mounting[2])
         notes.append(f"The laser is mounted at ({x:.6g}, {y:.6g}) m, turned by {turned:.4g} deg.")
-    # p_scanner = R p_body + T: the body's pose in the laser's frame
-    tx, ty, turn = (float(v) + 0.0 for v in inverse(mounting))
+    tx, ty, turn = (float(v) + 0.0 for v in inverse(mounting))  # p_scanner = R p_body + T: the body in its frame
     return Scanner(low, step, largest, sigma, turn, (tx, ty)), [*notes, note], asked, origins
 
 

@@ -83,8 +83,7 @@ class Recording:
             raise UsageError(f"{folder}: the folder holds a log already; name another folder")
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
-        # unbuffered: the system has a record when `append` returns
-        self._file = (folder / PACKETS).open("xb", buffering=0)
+        self._file = (folder / PACKETS).open("xb", buffering=0)  # unbuffered: the system has it when `append` returns
         self._file.write(MAGIC)
         source = {"kind": SOURCE, "framed": framed, **dict(zip(NOISE, noise, strict=False))}
         source |= {} if fit == USUAL_FIT else {"fit": fit}

@@ -20,11 +20,9 @@ SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 class Mending:
     """How the numbers of a laser recording are read."""
 
-    # range_unit, odometry_unit: of lengths in the file, a key of `METRES`
-    range_unit: str = "m"
+    range_unit: str = "m"  # range_unit, odometry_unit: of lengths in the file, a key of `METRES`
     odometry_unit: str = "m"
-    # angle, time: units of the odometry's headings and of stamps, keys of `RADIANS` and `SECONDS`
-    angle: str = "rad"
+    angle: str = "rad"  # angle, time: units of the odometry's headings and of stamps, keys of `RADIANS` and `SECONDS`
     time: str = "s"
     # clockwise: beams run clockwise: the laser is upside down, or its beams are listed from left to right
     clockwise: bool = False

@@ -95,8 +95,7 @@ COV_ORDERS = (TRANSLATION, ROTATION)
 class Stated:
     """What a file states about itself; empty: nothing."""
 
-    # world, body: names of its frames
-    world: str = ""
+    world: str = ""  # world, body: names of its frames
     body: str = ""
     convention: bool = False  # whether it states the frame of its covariances
     order: bool = False  # whether it states the order of their tangent
@@ -111,8 +110,7 @@ SILENT, UNKNOWN = Stated(), Clock()
 class Spatial(Locked):
     """A trajectory in space."""
 
-    # file, kind: as of `GivenPath`
-    file: str
+    file: str  # file, kind: as of `GivenPath`
     kind: str
     time: Array  # (n,) s, ascending
     position: Array  # (n, 3) m
@@ -132,8 +130,7 @@ class Spatial(Locked):
 class GivenPath(Locked):
     """A trajectory of a file, in the plane."""
 
-    # file, kind: its name, with the topic of a bag, and the format, in words
-    file: str
+    file: str  # file, kind: its name, with the topic of a bag, and the format, in words
     kind: str
     time: Array  # (n,) s, strictly increasing
     pose: Array  # (n, 3) x [m], y [m], heading [rad]
@@ -144,13 +141,10 @@ class GivenPath(Locked):
     outside: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()  # sentences about ignored or assumed things
     clock: Clock = UNKNOWN
-    # the trajectory in space at the same stamps, in a robot's axes; None for a planar file
-    space: Spatial | None = None
+    space: Spatial | None = None  # the trajectory in space at the same stamps, in a robot's axes; None: planar
     transforms: object | None = None  # of other frames, from the same file; None: none
-    # (n,) of a planar file before wrapping, if the file does not state their unit; read as rad
-    headings: Array | None = None
-    # latitude and longitude [deg], height [m] of the origin, of a file of such; else empty
-    datum: tuple[float, ...] = ()
+    headings: Array | None = None  # (n,) of a planar file before wrapping, without a stated unit; read as rad
+    datum: tuple[float, ...] = ()  # latitude, longitude [deg], height [m] of the origin, of a file of such; else empty
 
     def __len__(self) -> int:
         return len(self.time)

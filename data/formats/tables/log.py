@@ -48,14 +48,12 @@ LONGEST = 1e6  # s, longest log; stamps in another unit would fill the memory wi
 class Rows:
     """Observations of a sensor, fixes or closures in the order of their (later) instants."""
 
-    # what, one: all, and one of them, in a message
-    what: str
+    what: str  # what, one: all, and one of them, in a message
     one: str
     table: Table  # what they measure
     at: Array  # (K, 1) s, as the odometry's; of closures (K, 2)
     stamped: bool  # at their own stamps, not at rows of the odometry
-    # z, sigma: (K, 3) of fixes and closures, NaN where not measured; (K, 2) of observations
-    z: Array
+    z: Array  # z, sigma: (K, 3) of fixes and closures, NaN where not measured; (K, 2) of observations
     sigma: Array
     source: IntArray  # (K,) row in `names` of fixes and closures
     names: tuple[str, ...] = ()

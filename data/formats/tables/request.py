@@ -73,12 +73,10 @@ class TableSensor:
     """A sensor of tables, in SI units."""
 
     role: str  # of its file, among the files and in keys of columns: its name, or "observations" of the only one
-    # measured: its columns, a key of `SEEN`; sensor: its label is blank where it is the only one
-    measured: tuple[str, ...]
+    measured: tuple[str, ...]  # measured: its columns, a key of `SEEN`; sensor: its label, blank if it is the only one
     sensor: Sensor
     origins: Origins  # of its noise, place, and reach, which is as observed where it is inferred
-    # sigma: (2,) of an observation; looks: noise of descriptors and classes; what is None is not read
-    sigma: Array
+    sigma: Array  # sigma: (2,) of an observation; looks: noise of descriptors and classes; what is None is not read
     looks: Noise
 
     @property
@@ -238,17 +236,14 @@ class Wanted:
     files: Mapping[str, Path]
     texts: Mapping[str, TextTable]
     columns: Columns
-    # kind, noise: of the odometry; model: how velocities become increments
-    kind: str
+    kind: str  # kind, noise: of the odometry; model: how velocities become increments
     wheels: Wheels | None
     noise: Noises
     model: str
     sensors: tuple[TableSensor, ...]
-    # mean (3,), "truth", or None: the frame of the log starts at the robot; prior_sigma (3,) or None
-    prior: Array | str | None
+    prior: Array | str | None  # mean (3,), "truth", or None: the log's frame starts at the robot; with prior_sigma (3,)
     prior_sigma: Array | None
-    # map_pose: (3,) pose of the map's frame in the world; truth_pose: of the truth's
-    map_pose: Array
+    map_pose: Array  # map_pose: (3,) pose of the map's frame in the world; truth_pose: of the truth's
     truth_pose: Array
     every_row: bool  # every odometry row is a frame, not only those with observations
     sensed: bool
@@ -344,8 +339,7 @@ def settle(given: Given) -> Wanted:
         columns.period = table_files.quantity_with_unit(str(given["period"]), "time", "--period")
     if given[LENGTH]:
         columns.notes.append(f"lengths of flags without a unit are in {given[LENGTH]}, as --unit states")
-    # a file with several roles is read once
-    read: dict[Path, TextTable] = {}
+    read: dict[Path, TextTable] = {}  # a file with several roles is read once
     for role, path in files.items():
         count, seen = len(next(iter(read.values()), ())), role in (OBSERVATIONS, *several)
         read |= {path: table_files.read_text(path, named.values(), count, seen=seen)} if path not in read else {}

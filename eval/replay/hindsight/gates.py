@@ -203,8 +203,7 @@ class LearnedGates:
             if waiting[i] and self._tentative.see(observation, self._pairings, reach):
                 stated[i] = NEW
             if stated[i] == NEW:
-                # the suspects there did not belong to the landmark next to it
-                outside -= self._tentative.settle(observation)
+                outside -= self._tentative.settle(observation)  # suspects there are not of the landmark next to it
             elif ledger.gated_elsewhere(int(e.number[np.argmin(nearest[i])]), False):
                 self._tentative.suspect(observation)
                 outside += 1

@@ -47,8 +47,7 @@ class Health:
     share: float = field(default_factory=lambda: constants.HEALTH_START[0])
     strays: float = 0.0  # ... number of unpaired ones, ...
     scale: float = field(default_factory=lambda: constants.HEALTH_START[1])  # ... NIS per degree of freedom
-    # weight of what was learned, in observations
-    learned: float = field(default_factory=lambda: constants.HEALTH_WEIGHT)
+    learned: float = field(default_factory=lambda: constants.HEALTH_WEIGHT)  # weight of what was learned [observations]
     lost: bool = False  # one of the sums has reached the threshold
 
 
@@ -104,8 +103,7 @@ class Stretches:
         self._begin, self._now = begin, begin(prior)
         self._can = capabilities(self._now)
         self._first, self._frame, self._time = 0, 0, 0.0
-        # first frame whose observations the present smoother has: those of its first frame are in its prior
-        self._given = 0
+        self._given = 0  # first frame whose observations the present smoother has: its first frame's are in its prior
         self._done: list[tuple[Finished, int]] = []  # ended ones, each with its number of frames
         self._last_use: dict[int, int] = {}
 

@@ -309,8 +309,7 @@ class Cells:
     head: str
     body: tuple[str, ...]
     numeric: bool
-    # width: of a column of text that is broken into lines [pt]; None: it is as wide as it has to be
-    width: float | None = None
+    width: float | None = None  # width: of a column of text broken into lines [pt]; None: as wide as it has to be
     full: str = ""  # the head as the report has it
 
     @property

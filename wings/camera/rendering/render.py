@@ -271,8 +271,7 @@ def smeared_noise(shape: tuple[int, ...], smear: float, rng: np.random.Generator
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / smear) ** 2)
     kernel /= np.linalg.norm(kernel)  # a sum of independent values keeps the variance
     smooth = cv2.sepFilter2D(white, cv2.CV_32F, kernel, kernel)
-    # the padded rim mixes values twice, and is cut off
-    return np.asarray(smooth[reach:-reach, reach:-reach], np.float32)
+    return np.asarray(smooth[reach:-reach, reach:-reach], np.float32)  # the padded rim mixes values twice; it is cut
 
 
 def _lost(g: Gallery, rgb: Image, outlines: Sequence[Array], rng: np.random.Generator) -> NDArray[np.bool_]:

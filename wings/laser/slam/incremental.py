@@ -135,8 +135,7 @@ class Tracker:
                 tried.append(self._match(points, found, prior))
         if any(self._chi2(m, prior) > SURPRISE for m in tried):
             held = self._match(points, self.pose, prior, FIRM)
-            # where little is seen, or the reference ends, a few points fit anywhere
-            plenty = len(points.xy) >= FEWEST_POINTS
+            plenty = len(points.xy) >= FEWEST_POINTS  # where little is seen, or the reference ends, a few fit anywhere
             tried = [*(m for m in tried if self._chi2(m, prior) <= SURPRISE or (plenty and m.share >= SURE)), held]
         evidence = min(len(points.xy), POINTS)
         best = min(tried, key=lambda m: evidence * m.cost + self._penalty(m, prior, slip, going_on))
@@ -212,8 +211,7 @@ class ScanSlam:
         """`steady`: odometry is unknown (`Tracker`). `with_covariance`: `covariance` is asked for."""
         self.parameters, self.scanner = parameters, scanner
         self.frames: list[int] = []  # of the key poses so far
-        # (3,), (3, 3) of each key pose in the frame of the one before; of the first unused
-        self.motions: list[Array] = []
+        self.motions: list[Array] = []  # (3,), (3, 3) of each key pose in the frame before; of the first unused
         self.covariances: list[Array] = []
         self.poses = np.zeros((0, 3))  # of all key poses, world frame
         self.closer = LoopCloser(parameters, scanner)  # with all loop closures
@@ -276,8 +274,7 @@ class ScanSlam:
             )  # fmt: skip
             off = [pose_error(between(self.poses[c.key1], self.poses[c.key2]), c.relative) for c in believed]
             self.waits, self._far = True, self._far or bool((np.abs(off) > FAR).any())
-        # an update costs time with the size of the graph: in large ones key poses have one in common
-        keys = len(self.frames)
+        keys = len(self.frames)  # an update costs time with the graph's size: in large ones key poses share one
         if self.waits and (self._far or keys - self._updated > (keys - LARGE) // AMORTIZED):
             self.update()
 

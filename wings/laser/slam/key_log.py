@@ -47,8 +47,7 @@ class KeyLog(NamedTuple):
     frame: IntArray  # (F,) the frame of the laser log of each
     label: IntArray  # (M,) of the corners, by the front end's final path
     chain: Chain  # of the front end
-    # claimed: scale on the variances that scan matching states; error: its standard error, None: not learned
-    claimed: float
+    claimed: float  # scale on variances that scan matching states; error: its standard error, None: not learned
     error: float | None
 
 
