@@ -457,7 +457,7 @@ def solid_stars(file: TextTable, stated: Mapping[str, str]) -> dict[str, str]:
     return found
 
 
-ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}
+ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi, "compass": -math.pi / 180.0}
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 DIMENSIONS = {"length": LENGTH | {"mi": 1609.344, "nmi": 1852.0}, "angle": ANGLE, "time": TIME}
 
@@ -866,12 +866,8 @@ class Columns:
             of = {role: file for role, file in files.items() if file.path == path}
             free = [q for r, f in of.items() for q in MORE.get(r, MORE["observations"]) if self.find(f, r, q) is None]
             used = {part for where, name in self.read if where == path for part in (name, *name.split("+"))}
-            names = dict.fromkeys(
-                n
-                for f in of.values()
-                for n, field in zip(f.names, f.rows[0], strict=True)
-                if n and n not in used and (f.named or is_number(field))
-            )
+            there = [(f, c) for f in of.values() for c in range(len(f.names)) if f.named or is_number(f.rows[0][c])]
+            names = dict.fromkeys(name for f, c in there if (name := f.names[c]) and name not in used)
             if names:
                 self.notes.append(f"{path.name}: {unused([*names], free)}")
 
@@ -903,13 +899,11 @@ class Columns:
             empty &= not set(quantities) & set(may_be_blank)
         keep = ~(empty | ended)
         must = [columns[q] for q in quantities if q not in may_be_blank]
-        whole = keep & np.array([all(row[c].lower() not in ("", "nan") for c in must) for row in file.rows], bool)
-        before = keep & (np.arange(len(file)) < np.argmax(whole)) if "t" in quantities else ~keep & keep
+        full = np.array([all(row[c].lower() not in ("", "nan") for c in must) for row in file.rows], bool)
+        before = keep & (np.arange(len(file)) < np.argmax(keep & full) * ("t" in quantities))
         if before.any():
-            blank = ", ".join(file.names[c] for c in must if any(not file.rows[k][c] for k in np.flatnonzero(before)))
-            self.notes.append(
-                f"{file.path.name}: {counted(int(before.sum()), 'row')} before the first {blank}: left out"
-            )
+            some, has = counted(int(before.sum()), "row"), ", ".join(file.names[c] for c in must)
+            self.notes.append(f"{file.path.name}: {some} before the first that has {has}: left out")
             keep &= ~before
         if role == "map" or INSTANTS & set(columns):
             whole = role not in ROLES or role == "observations"
@@ -928,6 +922,8 @@ class Columns:
                 values[q] = numbered
                 continue
             values[q] = file.numbers(c, keep, dates) * self.units.factor(role, EARTH[q] if q in earth else q)
+            if q == "theta" and (self.units.unit(role, q) or self.units.given.get("angle")) == "compass":  # north is y
+                values[q] += 0.5 * math.pi
         for q, c in columns.items():
             of = np.where(values[q] > 0.0, values[q], np.nan) if q == "range" else values[q]  # others are left out
             if QUANTITIES[q] not in ("", "time") and q[0] != "s" and (found := unmeasured(of)) is not None:
@@ -938,12 +934,15 @@ class Columns:
                     raise DataError.at(file.path, what, line=int(file.line[keep][row]), column=file.names[c])
                 if q in ("range", "bearing"):
                     self.notes.append(f"{file.path.name}: {q} is {said}: was nothing measured there? Leave them out")
-        if role in ("truth", "fixes") and (none := nowhere(np.stack([values[q] for q in "xy" if q in values]))).any():
-            some = (
-                f"{counted(int(none.sum()), 'place')} of {role} at 0, 0, far from all others: no message yet, left out"
-            )
-            self.notes.append(f"{file.path.name}: {some}")
-            values |= {q: np.where(none, np.nan, values[q]) for q in "xy"}
+        if role in ("truth", "fixes") and {"x", "y"} <= {*values}:
+            at = np.stack([values["x"], values["y"]])
+            none = ~at.any(axis=0)
+            rest = at[:, ~none & np.isfinite(at).all(axis=0)]
+            step, near = np.hypot(*np.diff(rest)).max(initial=0.0), np.hypot(*rest).min(initial=np.inf)
+            if none.any() and 0.0 < APART * step < near:
+                some = f"{counted(int(none.sum()), 'place')} of {role} at 0, 0, far from all others"
+                self.notes.append(f"{file.path.name}: {some}: left out, as of no message yet")
+                values |= {q: np.where(none, np.nan, values[q]) for q in ("x", "y")}
         if earth:
             place = np.stack([values["y"], values["x"], 0.0 * values["x"]], axis=-1)
             for k, (q, sides) in enumerate((("y", "NS"), ("x", "EW"))):  # the hemisphere, in the next column
@@ -985,14 +984,6 @@ def unmeasured(values: Array) -> tuple[int, int, bool] | None:
         if count[k] >= REPEATED and by[k] > BEYOND * np.delete(by, k).max():
             return int(first[k]), int(count[k]), far
     return None
-
-
-def nowhere(place: Array) -> BoolArray:
-    """Which places (2, K) are (0, 0), and farther from all others than `APART` of the largest steps of these."""
-    none: BoolArray = ~np.asarray(place.any(axis=0))
-    rest = place[:, ~none & np.isfinite(place).all(axis=0)]
-    step = np.hypot(*np.diff(rest)).max(initial=0.0) if len(rest) == 2 else 0.0
-    return none & np.bool_(0.0 < APART * step < np.hypot(*rest).min(initial=np.inf))
 
 
 REPEATED, BEYOND, LEVELS, APART = 3, 10.0, 20, 50.0

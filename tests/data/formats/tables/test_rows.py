@@ -37,15 +37,14 @@ def test_frame_is_the_row_of_the_file(rows, odometry):
     assert log.truth.pose == pytest.approx(path)
 
 
-@pytest.mark.parametrize("begin", [500.0, 0.0])
-def test_rows_before_the_first_message_of_a_sensor_are_left_out(rows, begin):
+def test_rows_before_the_first_message_of_a_sensor_are_left_out(rows):
     """Those with a blank, and places at 0, 0 that are far from all others."""
-    fixes = "t,x,y\n3,0,0\n4,0,0\n" + "".join(f"{5 + k},{begin + 0.5 * k},{0.1 * k}\n" for k in range(4))
-    blank = [row.removesuffix("0") for row in DRIVE[:2]]
+    fixes = "t,x,y\n3,0,0\n4,0,0\n" + "".join(f"{5 + k},{500 + 0.5 * k},{0.1 * k}\n" for k in range(4))
+    odometry = [row.removesuffix("0") for row in DRIVE[:2]] + DRIVE[2:]
     words = ("--prior", "0,0,0", "--prior-sigma", "1,1,1", "--fix-sigma", "1,1")
-    log, said = rows([*blank, *DRIVE[2:]], *words, fixes=fixes, observations="t,x,y\n9,2,0\n")
-    assert "odo.csv: 2 rows before the first theta: left out" in said
-    assert ("2 places of fixes at 0, 0, far from all others" in said) == (begin > 0.0)
+    log, said = rows(odometry, *words, fixes=fixes, observations="t,x,y\n9,2,0\n")
+    assert "odo.csv: 2 rows before the first that has t, x, y, theta: left out" in said
+    assert "2 places of fixes at 0, 0, far from all others" in said
     assert (log.recorded.time[0], len(log.recorded.fixes)) == (2.0, 4)
 
 
@@ -140,24 +139,18 @@ def test_the_unit_of_lengths_is_that_of_flags_too(rows):
     assert r.increments.covariance[1, 0, 0] == pytest.approx(0.01**2 * SPEED, rel=1e-6)
 
 
-@pytest.mark.parametrize(("names", "more"), [("orientation,qx,qy,qz,qw", ",0,0,1,1"), ("theta,a,b,c,d", "9,0,0,1,1")])
-def test_a_quaternion_is_read_where_a_column_of_headings_is_blank_or_only_the_quaternion_is_stated(rows, names, more):
-    truth = f"t,x,y,{names}\n" + "".join(f"{k},{SPEED * k},0,{more}\n" for k in range(12))
-    words = ("--columns", "truth.qx=a,truth.qy=b,truth.qz=c,truth.qw=d") if names[0] == "t" else ()
-    start = ("--prior", "0,0,0", "--prior-sigma", "0,0,0")
-    log, _ = rows(DRIVE, *words, *start, truth=truth, observations="t,x,y\n1,2,0\n")
-    assert log.truth.pose[:, 2] == pytest.approx(0.5 * np.pi)
+NORTH = 0.5 * np.pi
 
 
-@pytest.mark.parametrize("truth", [
-    "t,x,y\n" + "".join(f"{k},{SPEED * k},0\n" for k in range(12)),
-    "t,x,y,theta\n" + "".join(f"{k},{SPEED * k},0,\n" for k in range(12)),
-    "t,x,y,qx,qy,qz,qw\n" + "".join(f"{k},{SPEED * k},0,0,0,0,0\n" for k in range(12)),
+@pytest.mark.parametrize(("names", "more", "words", "heading"), [
+    ("", "", (), None), (",theta", ",", (), None), (",qx,qy,qz,qw", ",0,0,0,0", (), None),
+    (",orientation,qx,qy,qz,qw", ",,0,0,1,1", (), NORTH), (",theta", ",0", ("--unit", "truth.theta=compass"), NORTH),
+    (",theta,a,b,c,d", ",9,0,0,1,1", ("--columns", "truth.qx=a,truth.qy=b,truth.qz=c,truth.qw=d"), NORTH),
 ])  # fmt: skip
 def test_a_truth_of_positions_alone_is_a_truth(rows, truth):
     start = ("--prior", "0,0,0", "--prior-sigma", "0,0,0")
     log, said = rows(DRIVE, *start, observations="t,x,y\n1,2,0\n2.5,2,0\n", truth=truth)
     assert "truth.csv: no heading in this file: positions alone are scored" in said
     assert log.truth.known_poses == len(log.recorded)
-    assert not log.truth.has_headings
+    assert not log.truth.has_headings if heading is None else log.truth.pose[:, 2] == pytest.approx(heading)
     assert log.truth.pose[:, 0] == pytest.approx(SPEED * log.recorded.time)
