@@ -212,9 +212,10 @@ def truth_windows(log: Log) -> list[Notice]:
         return []
     off = [w.off for w in found if np.isfinite(w.off)]
     start, end = tuple(w.start for w in found), tuple(w.end for w in found)
+    poses = sum(w.last - w.first + 1 for w in found), len(log.recorded)
     flags = tuple(f"--exclude-truth {w.start:.15g}:{w.end:.15g}" for w in found)
     return [notice(
-        Code.BAD_TRUTH, frame=found[0].first, start=start, end=end, off=max(off) if off else None,
+        Code.BAD_TRUTH, frame=found[0].first, start=start, end=end, off=max(off) if off else None, poses=poses,
         left_out=bool(log.truth.left_out), mrclam=log.source.get("kind") == "mrclam", flags=flags,
     ).about(log=log.name)]  # fmt: skip
 
@@ -241,6 +242,8 @@ def ask(log: Log) -> tuple[Notice, ...]:
         found = [*conventions(log)]
         if any(q.code == Code.CONTRADICTION for q in found):
             checks = tuple(c for c in CHECKS if c not in FOLLOWS)
+    if log.truth.left_out and truth_windows not in checks:  # what is not scored is always said
+        checks = (*checks, truth_windows)
     if log.recorded.several_or_partial:
         checks = tuple(c for c in checks if c not in OF_ONE_SENSOR)
     found += [question for check in checks for question in check(log)]

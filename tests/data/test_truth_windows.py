@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from data.formats.mrclam import Treatment, corrected_landmarks, load_mrclam
 from data.inputs import LandmarkMap
 from data.logs import open_log
-from data.notice import Code
+from data.notice import Code, notice
 from data.questions.asked import ask
 from data.timeline import frame_times, truth_at
 from data.truth import BadTruth
@@ -170,6 +170,9 @@ def test_what_is_left_out_is_remembered_and_the_line_for_it_leaves_out_the_same(
     assert w.start == pytest.approx(40.25 + log.recorded.time[FIRST], abs=1e-3)
     (kept,) = [q for q in ask(rest) if q.code is Code.BAD_TRUTH]
     assert (found.named["left_out"], kept.named["left_out"]) == (False, True)
+    assert kept.named["poses"] == (LAST - FIRST + 1, len(log.recorded))
+    turned = notice(Code.HEADING_UNIT, of="truth", largest=90.0, flags=("--unit angle=deg",))  # hides what follows
+    assert [q.code for q in ask(replace(rest, asked=(turned,)))] == [Code.HEADING_UNIT, Code.BAD_TRUTH]
     by_hand = without(log, [(w.start, w.end)])
     np.testing.assert_array_equal(by_hand.truth.pose, rest.truth.pose)
     assert bad_truth(by_hand) == ()
