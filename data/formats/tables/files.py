@@ -383,7 +383,8 @@ def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
     if not labels:
         raise DataError.at(file.path, f"no column {', '.join(patterns.values())}; it has {file.described()}")
     rest = sorted({*range(len(file.names))} - {j for of in found.values() for j in of.values()})
-    seen = [[k for k, of in enumerate(labels.values()) if _observed(row, of)] for row in file.rows]
+    far = [[_distance(row, of) for of in labels.values()] for row in file.rows]
+    seen = [[k for k, distance in enumerate(each) if distance > 0.0] for each in far]
     own &= len(set(map(len, seen))) < SLOTS or any(some != list(range(len(some))) for some in seen)
     named = [*labels] if all(map(str.isdecimal, labels)) else [str(k) for k in range(len(labels))]
     columns = [of.values() for of in labels.values()]
@@ -393,13 +394,22 @@ def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
     ]  # fmt: skip
     line = np.repeat(file.line, list(map(len, seen)))
     names = (*(file.names[j] for j in rest), *patterns, *["label"] * own)
-    return replace(file, names=names, rows=tuple(rows), line=line, named=True)
+    lost = sum(distance <= 0.0 for each in far for distance in each)
+    return replace(
+        file, names=names, rows=tuple(rows), line=line, named=True, cut=nothing_there(lost, len(rows)) * bool(lost)
+    )
 
 
-def _observed(row: Sequence[str], of: Mapping[str, int]) -> bool:
+def nothing_there(lost: int, kept: int) -> str:
+    """What is said of observations at no distance, or less, beside those that are kept."""
+    return f"{lost} of {lost + kept} observations are at 0 m or less, where nothing was seen: left out"
+
+
+def _distance(row: Sequence[str], of: Mapping[str, int]) -> float:
+    """From the sensor [the file's unit], NaN where a number is not there; 1 of a bearing alone."""
     values = {q: float(row[j]) if is_number(row[j]) else math.nan for q, j in of.items() if q in STARRED}
-    there = values.get("range", 1.0) > 0.0 and (values.get("x", 1.0), values.get("y", 1.0)) != (0.0, 0.0)
-    return there and all(map(math.isfinite, values.values()))
+    far = values.get("range", math.hypot(values.get("x", 1.0), values.get("y", 0.0)))
+    return far + 0.0 * sum(values.values())
 
 
 LISTED = ("ranges", "range", "scan", "distances")  # Names that may stand for all beams of a scan
@@ -889,7 +899,8 @@ class Columns:
                 continue
             values[q] = file.numbers(c, keep, dates) * self.units.factor(role, EARTH[q] if q in earth else q)
         for q, c in columns.items():
-            if QUANTITIES[q] not in ("", "time") and q[0] != "s" and (found := unmeasured(values[q])) is not None:
+            of = np.where(values[q] > 0.0, values[q], np.nan) if q == "range" else values[q]  # others are left out
+            if QUANTITIES[q] not in ("", "time") and q[0] != "s" and (found := unmeasured(of)) is not None:
                 row, count, far = found
                 said = f"{file.text(c, keep)[row]} in {count} of {len(values[q])} rows"
                 if far:

@@ -22,7 +22,7 @@ from data.formats.open_log import Recording, Samples
 from data.formats.recordings.laser import FLOOR
 from data.formats.results.path import ABSENT, COARSE, in_order, unturned
 from data.formats.second_odometry import together
-from data.formats.tables.files import QUATERNION, SCANS, SECOND, TextTable, headings
+from data.formats.tables.files import QUATERNION, SCANS, SECOND, TextTable, headings, nothing_there
 from data.formats.tables.motion import Odometry, pose_columns, read_odometry, read_second, second_closures
 from data.formats.tables.request import LOOKS, OBSERVATIONS, SENSOR, TableSensor, Wanted
 from data.formats.tables.scans import read_scans
@@ -208,12 +208,18 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
     z = np.zeros((len(table), 2))
     z[:, [1] if values == ("bearing",) else list(range(len(values)))] = table.stack(values)
     if "range" in values:
-        hint = ""
+        hint, below, some = "", z[z[:, 0] < 0.0, 0], np.count_nonzero(z[:, 0])
         if values[-1] == "bearing" and (z[:, 1] >= 0.0).all():
             name_of = {v: file.names[columns.find(file, role, v) or 0] for v in values}
             other = f"{own}range={name_of['bearing']},{own}bearing={name_of['range']}"
             hint = f", and no bearing is: if they are exchanged, --columns {other}"
-        table.require(z[:, 0] >= 0.0, "range", "{} is a negative range" + hint)
+        mark = MARK <= len(below) < some and not np.ptp(below)  # one number, such as -1
+        if len(below) > FEW * some and not mark:
+            table.require(z[:, 0] >= 0.0, "range", "{} is a negative range" + hint)
+    there: BoolArray = np.asarray(z[:, 0] > 0.0 if "range" in values else z.any(axis=1))
+    if values != ("bearing",) and not there.all():
+        notes.append(f"{file.path.name}: {nothing_there(int((~there).sum()), int(there.sum()))}")
+        table, z = table.part(there), z[there]
     if "frame" in table and 0 < file.steps < len(odometry.rows):  # a row for each step, which leads to the next pose
         table.columns["frame"] += 1.0
     at = np.zeros((len(z), 1)) if each else _at(table, keys, stamped, odometry, notes)
@@ -233,6 +239,9 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
         notes.append(f"{file.path.name}: {back} observations were stamped before the one above{anew}; sorted")
         found = found.part(np.argsort(at[:, 0], kind="stable"))
     return found
+
+
+FEW, MARK = 0.1, 3  # Largest share of negative ranges, and least number of equal ones, that are left out
 
 
 def _rows_a_step(file: TextTable, of: TableSensor, wanted: Wanted, poses: int) -> tuple[int, int]:

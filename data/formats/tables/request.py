@@ -410,6 +410,7 @@ def settle(given: Given) -> Wanted:
             file = texts[role]
             columns.read |= {(file.path, n) for n in file.names for star in stars.values() if fnmatchcase(n, star)}
             texts[role] = table_files.unpivoted(texts[role], stars)
+            columns.notes += [f"{file.path.name}: {texts[role].cut}"] * bool(texts[role].cut)
             if not {"label", "true_id"} & {*texts[role].names}:
                 told = "filled from the left, so they are no labels (--columns label=NAME* names some)"
                 columns.notes.append(f"inferred: columns {', '.join(stars.values())} are {told}")

@@ -123,6 +123,7 @@ def test_with_velocities_the_log_ends_as_long_after_the_last_row_as_rows_are_apa
 @pytest.mark.parametrize(("readings", "reach"), [
     (((2.0, 0.1), (3.0, -0.5), (1.0, 2.9)), 3.003), (((0.5, 1.5), (0.25, 3.0)), 0.5005),
     (((2.0, -0.1), (3.0, -0.5), (1.0, -1.5)), 3.003), (((0.0, 1.0), (0.0, 2.0)), np.inf), ((), np.inf),
+    (((3.0, 1.0), (0.0, 1.0), *[(-1.0, 0.5)] * 3), 3.003), (((-2.5, 1.0), *[(2.0, 0.5)] * 10), 2.002),
 ])  # fmt: skip
 def test_a_sensor_whose_range_nobody_states_reaches_a_thousandth_beyond_its_farthest_reading(
     table, tmp_path, readings, reach
@@ -131,6 +132,8 @@ def test_a_sensor_whose_range_nobody_states_reaches_a_thousandth_beyond_its_fart
     seen.write_text("t,range,bearing\n" + ("".join(f"{k},{r},{b}\n" for k, (r, b) in enumerate(readings)) or "0,,\n"))
     log, said = table("t,v,omega\n0,1,0\n1,1,0\n2,1,0\n", "--observations", str(seen), *SIGMAS)
     assert "inferred: max range" in said
+    nothing = sum(far <= 0.0 for far, _ in readings)  # zeros, few below, or one number below that stands for none
+    assert (f"{nothing} of {len(readings)} observations are at 0 m or less" in said) == bool(nothing)
     sensor = log.recorded.sensor
     assert sensor.max_range == pytest.approx(reach, rel=1e-12)
     assert (sensor.min_angle, sensor.max_angle) == (-np.pi, np.pi)

@@ -132,9 +132,10 @@ WHEELS = "time,v,w\n" + "".join(f"{0.1 * k:.1f},1,0\n" for k in range(60))
 def test_a_column_for_each_landmark_is_named_with_a_star(read, unread):
     wide = "time,beacon_4,beacon_7\n" + "".join(f"{k},{9 - k},{-1.0 if k % 2 else 5}\n" for k in range(5))
     files, words = {"o.csv": WHEELS, "seen.csv": wide}, ("--observations", "seen.csv", *NOISE)
-    log, _ = read(files, *words, "--columns", "range=beacon_*")
+    log, said = read(files, *words, "--columns", "range=beacon_*")
     seen = log.recorded.observations
     assert log.label.tolist() == [4, 7, 4, 4, 7, 4, 4, 7]
+    assert "seen.csv: 2 of 10 observations are at 0 m or less, where nothing was seen: left out" in said
     assert seen.z[log.label == 4, 0] == pytest.approx(9.0 - np.arange(5))
     assert "as in --columns range=beacon_*" in unread(files, *words)
     assert "no column b_*" in unread(files, *words, "--columns", "range=b_*")
