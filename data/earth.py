@@ -41,7 +41,10 @@ def on_plane(file: Path, place: Array, datum: Sequence[float] = ()) -> tuple[Arr
     size = np.abs(place[:, :2])
     if not (size[known] <= [90.0, 360.0]).all():
         if not ((size[known] % 100.0 < 60.0) & (size[known] < [9000.0, 18000.0])).all():
-            raise DataError.at(file, "latitudes beyond 90 or longitudes beyond 360; degrees, or ddmm.mmmm, are needed")
+            counts = ((size[known] > 1e7) & (size[known] <= [9e8, 3.6e9]) & (size[known] % 1.0 == 0.0)).all()
+            of = "; of 1e-7 deg? `--unit lat=1e-7deg,lon=1e-7deg` of `slamref convert table` reads them" * bool(counts)
+            what = f"latitudes beyond 90 or longitudes beyond 360; degrees, or ddmm.mmmm, are needed{of}"
+            raise DataError.at(file, what)
         place = np.hstack([np.sign(place[:, :2]) * (size // 100.0 + size % 100.0 / 60.0), place[:, 2:]])
         said = "inferred: latitudes and longitudes are degrees and minutes (ddmm.mmmm), as they are no degrees; "
     if not known.any():

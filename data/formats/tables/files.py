@@ -509,8 +509,8 @@ def factor(dimension: str, text: str, where: str) -> float:
     if kind == "time" and text in DATES:
         return 1.0
     (over, often), (under, times) = (
-        (text[many.end() :], float(many[0])) if (many := re.match(r"\d*\.?\d+", text)) else (text, 1.0)
-        for text in (over, under)  # counts of 0.1ms, per 0.1s
+        (text[many.end() :], float(many[0])) if (many := re.match(r"\d*\.?\d+([eE][-+]?\d+)?", text)) else (text, 1.0)
+        for text in (over, under)  # counts of 0.1ms or 1e-7deg, per 0.1s
     )
     if over not in units or bool(slash) != bool(per) or (per and under not in TIME) or not times * often > 0.0:
         example = f"{next(iter(units))}/s" if per else ", ".join([*units, *DATES] if kind == "time" else units)

@@ -230,9 +230,11 @@ def test_latitudes_in_rad_and_a_column_for_two_quantities(convert):
     place = np.radians(np.column_stack([48.0 + POSE[:, 1] / 111194.0, 11.0 + POSE[:, 0] / 74625.0]))
     files = {"o.csv": text("t,v,omega", T, V, OMEGA), "gps.csv": text("t,lat,lon", T, place)}
     words = ("table", "o.csv", "out", "--fixes", "gps.csv", "--fix-sigma", "0.1,0.1")
-    for unit in ("lat=rad,lon=rad", "angle=rad"):
+    for unit, many in (("lat=rad,lon=rad", 1.0), ("angle=rad", 1.0), ("lat=1e-7deg,lon=1e-7deg", np.degrees(1e7))):
+        files["gps.csv"] = text("t,lat,lon", T, np.round(place * many, 0 if many > 1.0 else 12))
         z = convert(files, *words, "--unit", unit)[0].recorded.fixes.z
         assert z[:, :2] == pytest.approx(POSE[:, :2], rel=5e-3, abs=0.03)
+    assert "`--unit lat=1e-7deg,lon=1e-7deg`" in convert(files, *words, status=2)
     assert "column t is named for t and x" in convert(files, *words, "--columns", "fixes.x=t,fixes.y=lat", status=2)
 
 
