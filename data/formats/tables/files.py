@@ -881,6 +881,13 @@ class Columns:
         else:
             empty &= not set(quantities) & set(may_be_blank)
         keep = ~(empty | ended)
+        must = [columns[q] for q in quantities if q not in may_be_blank]
+        full = np.array([all(row[c].lower() not in ("", "nan") for c in must) for row in file.rows], bool)
+        before = keep & (np.arange(len(file)) < np.argmax(keep & full) * ("t" in quantities))
+        if before.any():
+            some, has = counted(int(before.sum()), "row"), ", ".join(file.names[c] for c in must)
+            self.notes.append(f"{file.path.name}: {some} before the first that has {has}: left out")
+            keep &= ~before
         if role == "map" or INSTANTS & set(columns):
             whole = role not in ROLES or role == "observations"
             fields = range(len(file.names)) if whole else (*columns.values(), *named.values())
@@ -908,6 +915,15 @@ class Columns:
                     raise DataError.at(file.path, what, line=int(file.line[keep][row]), column=file.names[c])
                 if q in ("range", "bearing"):
                     self.notes.append(f"{file.path.name}: {q} is {said}: was nothing measured there? Leave them out")
+        if role in ("truth", "fixes") and {"x", "y"} <= {*values}:
+            at = np.stack([values["x"], values["y"]])
+            none = ~at.any(axis=0)
+            rest = at[:, ~none & np.isfinite(at).all(axis=0)]
+            step, near = np.hypot(*np.diff(rest)).max(initial=0.0), np.hypot(*rest).min(initial=np.inf)
+            if none.any() and 0.0 < APART * step < near:
+                some = f"{counted(int(none.sum()), 'place')} of {role} at 0, 0, far from all others"
+                self.notes.append(f"{file.path.name}: {some}: left out, as of no message yet")
+                values |= {q: np.where(none, np.nan, values[q]) for q in ("x", "y")}
         if earth:
             place = np.stack([values["y"], values["x"], 0.0 * values["x"]], axis=-1)
             for k, (q, sides) in enumerate((("y", "NS"), ("x", "EW"))):  # the hemisphere, in the next column
@@ -951,9 +967,9 @@ def unmeasured(values: Array) -> tuple[int, int, bool] | None:
     return None
 
 
-REPEATED, BEYOND, LEVELS = 3, 10.0, 20
+REPEATED, BEYOND, LEVELS, APART = 3, 10.0, 20, 50.0
 """Least number of fields with a value that stands for none; how many times it is as large, or as frequent, as any
-other; least number of different values.
+other; least number of different values; how many steps places at 0, 0 that stand for none are away.
 """
 
 

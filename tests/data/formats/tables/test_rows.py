@@ -37,6 +37,17 @@ def test_frame_is_the_row_of_the_file(rows, odometry):
     assert log.truth.pose == pytest.approx(path)
 
 
+def test_rows_before_the_first_message_of_a_sensor_are_left_out(rows):
+    """Those with a blank, and places at 0, 0 that are far from all others."""
+    fixes = "t,x,y\n3,0,0\n4,0,0\n" + "".join(f"{5 + k},{500 + 0.5 * k},{0.1 * k}\n" for k in range(4))
+    odometry = [row.removesuffix("0") for row in DRIVE[:2]] + DRIVE[2:]
+    words = ("--prior", "0,0,0", "--prior-sigma", "1,1,1", "--fix-sigma", "1,1")
+    log, said = rows(odometry, *words, fixes=fixes, observations="t,x,y\n9,2,0\n")
+    assert "odo.csv: 2 rows before the first that has t, x, y, theta: left out" in said
+    assert "2 places of fixes at 0, 0, far from all others" in said
+    assert (log.recorded.time[0], len(log.recorded.fixes)) == (2.0, 4)
+
+
 @pytest.mark.parametrize("twice", ["odometry", "observations", "fixes", "closures", "truth", "map"])
 def test_a_repeated_row_counts_once_in_every_file(rows, twice):
     parts = {
