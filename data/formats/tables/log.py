@@ -640,15 +640,19 @@ def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) ->
     return result
 
 
-def _ahead(pose: Array, moved: Array) -> float | None:
-    """Heading at the start that takes the odometry's increments (N, 3) to the true places (N, 3); None: no way."""
+def _ahead(pose: Array, moved: Array) -> tuple[float, float] | None:
+    """Heading at the start that takes the odometry's increments (N, 3) to the true places (N, 3), and its deviation;
+    None: no way.
+    """
     path = se2.dead_reckoned(np.zeros(3), moved)
-    way = pose[:, :2] - pose[0, :2]
-    far = np.flatnonzero((np.hypot(*way.T) > FAR) & (np.hypot(*path[:, :2].T) > FAR))
+    way, driven = ((p[:, :2] - p[0, :2]) @ np.array([1.0, 1j]) for p in (pose, path))
+    far = np.flatnonzero((np.abs(way) > FAR) & (np.abs(driven) > FAR))
     if not len(far):
         return None
-    turned = np.arctan2(way[far[0], 1], way[far[0], 0]) - np.arctan2(path[far[0], 1], path[far[0], 0])
-    return float(se2.wrap_angle(turned))
+    along = np.hypot(*moved[:, :2].T).cumsum()[far]
+    turn = (way * driven.conj())[far[along <= along[0] + FITTED]]
+    off = float(np.sqrt(np.mean(np.angle(turn / turn[0]) ** 2)))
+    return float(np.angle(turn[0] if off <= LOOSE else turn.sum())), max(off, LOOSE)
 
 
 def _agree(fixes: Fixes, moved: Increments, start: Array) -> bool:
@@ -701,8 +705,8 @@ MOVED = 1e-3  # m between two fixes from which equal ones are held
 CONCENTRATED, ODD = 0.9, 0.5  # Length of the mean unit vector of angles that agree, at least, and of others, at most
 
 
-NEAR, SURE = 2.0, 3.0
-"""m, way from the start within which observations tell it; largest deviation of these, in sigma."""
+NEAR, SURE, FITTED = 2.0, 3.0, 10.0
+"""m, way from the start within which observations tell it; largest deviation of these, in sigma; m, of true places."""
 
 
 def _onto_map(
@@ -760,12 +764,12 @@ def _prior(
             raise UsageError("--prior truth: --truth FILE is needed")
         ahead = _ahead(pose, moved.mean) if np.isfinite(pose[0, :2]).all() and np.isnan(pose[0, 2]) else None
         if ahead is not None:
-            told = f"{math.degrees(ahead):.3g} deg within {math.degrees(LOOSE):g} deg"
+            told = "{:.3g} deg within {:.3g} deg".format(*np.degrees(ahead))
             there = np.flatnonzero(np.isfinite(pose[:, 0]))
             told += ", which takes odometry to truth" * (way_share(moved, there, pose[there, :2], 1.0) is None)
             wanted.columns.notes.append(f"the truth has no heading; that of the prior is {told}")
-            sigma = np.maximum(wanted.prior_sigma, [0.0, 0.0, LOOSE])
-            return Prior(np.append(pose[0, :2], ahead), np.diag(sigma**2))
+            sigma = np.maximum(wanted.prior_sigma, [0.0, 0.0, ahead[1]])
+            return Prior(np.append(pose[0, :2], ahead[0]), np.diag(sigma**2))
         if not np.isfinite(pose[0]).all():
             what = "heading" if np.isfinite(pose[0, :2]).all() else "pose"
             if np.isfinite(pose[:, 0]).mean() < 0.5:

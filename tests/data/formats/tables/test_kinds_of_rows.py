@@ -151,6 +151,11 @@ def test_a_truth_of_places_tells_the_heading_at_the_start(read):
     assert log.recorded.prior.mean == pytest.approx([0, 0, np.arctan2(0.8, -0.6)], abs=1e-6)
     assert log.recorded.prior.covariance[2, 2] == pytest.approx(np.radians(10.0) ** 2)
     assert "the truth has no heading" in said
+    places = zip(-0.6 * way + 0.5 * (way > 0.0), 0.8 * way + 0.4 * (way > 0.0), strict=True)  # leap by 0.6 m
+    files["truth.csv"] = "t,x,y\n" + "".join(f"{0.1 * k:.1f},{x},{y}\n" for k, (x, y) in enumerate(places))
+    prior = read(files, "--truth", "truth.csv")[0].recorded.prior
+    off = abs(prior.mean[2] - np.arctan2(0.8, -0.6))
+    assert np.radians(10.0) < off < 2.0 * np.sqrt(prior.covariance[2, 2])
 
 
 @pytest.mark.parametrize("suffix", ["mat", "npz"])
