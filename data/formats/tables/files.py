@@ -101,6 +101,11 @@ class TextTable:
             found.setdefault(column.index("") if "" in column else len(column), []).append(name)
         return found if len(found) > 1 else {}
 
+    def beside(self, name: str, number: IntArray) -> Self:
+        """With one more column, of a number (K,) for each row."""
+        rows = tuple((*row, str(k)) for row, k in zip(self.rows, number.tolist(), strict=True))
+        return replace(self, names=(*self.names, name), rows=rows)
+
     def text(self, column: int, keep: BoolArray) -> list[str]:
         """The fields of a column in the rows to keep (K,)."""
         return [row[column] for row, wanted in zip(self.rows, keep.tolist(), strict=True) if wanted]

@@ -9,7 +9,7 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -370,8 +370,7 @@ def settle(given: Given) -> Wanted:
         table, named_before = texts[role], any(columns.find(texts[role], role, q) is not None for q in ("t", "frame"))
         if file_and_word(files[role])[0] == source[0] and not named_before:
             number = np.searchsorted(texts["odometry"].line, table.line) - 1
-            rows = tuple((*row, str(max(k, 0))) for row, k in zip(table.rows, number.tolist(), strict=True))
-            texts[role] = replace(table, names=(*table.names, "frame"), rows=rows)
+            texts[role] = table.beside("frame", np.maximum(number, 0))
             columns.given = {**columns.given, f"{role}.frame": "frame"}
             columns.notes.append(f"{files[role].name}: inferred: frame, of the row of odometry above each in the file")
     unnamed = [r for r in texts if not {k.rpartition(".")[0] for k in named} & {"", r}]
@@ -409,7 +408,11 @@ def settle(given: Given) -> Wanted:
         if role in texts and stars:
             file = texts[role]
             columns.read |= {(file.path, n) for n in file.names for star in stars.values() if fnmatchcase(n, star)}
-            texts[role] = table_files.unpivoted(texts[role], stars)
+            texts[role] = wide = table_files.unpivoted(texts[role], stars)
+            instant = any(columns.find(wide, role, q) is not None for q in ("t", "frame"))
+            if not instant and len(file) == len(texts["odometry"]):
+                texts[role] = wide.beside("frame", np.searchsorted(file.line, wide.line))
+                columns.notes.append(f"{file.path.name}: inferred: each of its {len(file)} rows is one of the odometry")
             columns.notes += [f"{file.path.name}: {texts[role].cut}"] * bool(texts[role].cut)
             if not {"label", "true_id"} & {*texts[role].names}:
                 told = "filled from the left, so they are no labels (--columns label=NAME* names some)"

@@ -137,6 +137,10 @@ def test_a_column_for_each_landmark_is_named_with_a_star(read, unread):
     assert log.label.tolist() == [4, 7, 4, 4, 7, 4, 4, 7]
     assert "seen.csv: 2 of 10 observations are at 0 m or less, where nothing was seen: left out" in said
     assert seen.z[log.label == 4, 0] == pytest.approx(9.0 - np.arange(5))
+    bare = {"o.csv": "v,w\n" + "1,0\n" * 5, "seen.csv": "\n".join(row.partition(",")[2] for row in wide.splitlines())}
+    log, said = read(bare, *words, "--columns", "range=beacon_*", "--period", "0.1s")
+    assert log.recorded.observations.frame.tolist() == [0, 0, 1, 2, 2, 3, 4, 4]
+    assert (log.label[:3].tolist(), "inferred: each of its 5 rows is one of the odometry" in said) == ([4, 7, 4], True)
     assert "as in --columns range=beacon_*" in unread(files, *words)
     assert "no column b_*" in unread(files, *words, "--columns", "range=b_*")
 
