@@ -44,11 +44,19 @@ def _tidied(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], str]:
         whole = [(top[first - 2][0], (mark or " ").join(named)) if pair == top[first - 2] else pair for pair in lines]
         return _tidied([pair for pair in whole if pair != top[first - 1]])
     wide = [len(row) == len(rows[first]) for row in rows]
-    if first < 1 or any(wide[: first - 1]) or not all(wide[first - 1 : first + 2]):
+    alone = bool(first and re.search(PROSE[mark is None], top[first - 1][1]) and not {*LISTED} & {*rows[first - 1]})
+    alone &= not wide[first - 1] and len(wide) > first + 2 and (mark is None or len(rows[first - 1]) < len(rows[first]))
+    if first < 1 or any(wide[: first - 1]) or not all(wide[first - 1 + alone : first + 2 + alone]):
         return lines, ""
-    again = {line for _, line in top[:first]}
-    said = "; ".join(f"line {i} is a title above the names: {line.strip()[:60]}" for i, line in top[: first - 1])
+    again, above = {line for _, line in top[:first]}, f"above {'rows without' if alone else 'the'} names"
+    said = "; ".join(f"line {i} is a title {above}: {line.strip()[:60]}" for i, line in top[: first - 1 + alone])
+    if alone:
+        return [pair for pair in lines if pair not in top[:first]], said
     return [pair for pair in lines if pair == top[first - 1] or pair[1] not in again], said
+
+
+LISTED = ("ranges", "range", "scan", "distances")  # Names that may stand for all beams of a scan
+PROSE = r"\w \w", r"[,:;.!?](\s|$)|\s\d"  # In a line above rows that are separated by a mark, or by spaces alone
 
 
 def _are_units(fields: Sequence[str]) -> bool:

@@ -25,7 +25,7 @@ from data.dates import DATES, DMY, EXAMPLE, MDY, is_date, seconds_of, unit_of, w
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import ELEMENT, columns_of, is_arrays
-from data.formats.messages import cut_end, kinds_of, parts_of, read_lines, whole_names
+from data.formats.messages import LISTED, cut_end, kinds_of, parts_of, read_lines, whole_names
 from data.formats.results.reading import RATES, REFERENCE, TRUE, role_of, topics_in, words_of
 from data.inputs import IntArray
 from data.notice import Notice
@@ -417,7 +417,6 @@ def _distance(row: Sequence[str], of: Mapping[str, int]) -> float:
     return far + 0.0 * sum(values.values())
 
 
-LISTED = ("ranges", "range", "scan", "distances")  # Names that may stand for all beams of a scan
 SLOTS = 3  # Least different numbers of filled columns, from the left always, which no landmarks in sight would make
 STARRED, IDS = ("range", "bearing", "x", "y"), ("label", "true_id")
 """Quantities of observations that may have a column for each landmark, or for each of several in a row, with ids."""

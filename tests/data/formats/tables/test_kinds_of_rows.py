@@ -114,6 +114,9 @@ def test_bars_titles_and_words_for_nothing_are_read(read):
         log, said = read({"o.txt": f"Poses & places, as driven\n{text}"}, *words)
         assert "o.txt: line 1 is a title above the names: Poses & places, as driven" in said
         assert np.hypot(*log.recorded.increments.mean[:, :2].T).sum() == pytest.approx(far)
+    prose = "Poses, as driven\nby hand on a Monday: 5 rows\n" + "".join(f"{k} {0.5 * k} 0 0\n" for k in range(5))
+    log, said = read({"o.txt": prose}, "--truth", "o.txt", "--columns", "t=1,x=2,y=3,theta=4")
+    assert (len(log.recorded), "line 2 is a title above rows without names: by hand on a Monday" in said) == (5, True)
 
 
 @pytest.mark.parametrize(("text", "words", "wanted"), [
