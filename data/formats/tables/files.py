@@ -849,12 +849,13 @@ class Columns:
         return pose
 
     def say_unused(self, files: Mapping[str, TextTable]) -> None:
-        """Note the columns of named files, by role, that nothing used, with what they likely are."""
-        for path in dict.fromkeys(f.path for f in files.values() if f.named):
+        """Note the columns of files, by role, that nothing used, with what they likely are; no words without a name."""
+        for path in dict.fromkeys(f.path for f in files.values()):
             of = {role: file for role, file in files.items() if file.path == path}
             free = [q for r, f in of.items() for q in MORE.get(r, MORE["observations"]) if self.find(f, r, q) is None]
             used = {part for where, name in self.read if where == path for part in (name, *name.split("+"))}
-            names = dict.fromkeys(n for f in of.values() for n in f.names if n and n not in used)
+            there = [(f, c) for f in of.values() for c in range(len(f.names)) if f.named or is_number(f.rows[0][c])]
+            names = dict.fromkeys(name for f, c in there if (name := f.names[c]) and name not in used)
             if names:
                 self.notes.append(f"{path.name}: {unused([*names], free)}")
 

@@ -33,7 +33,8 @@ def unread(refused, tmp_path, monkeypatch):
 
 def test_rows_of_one_kind_are_named_behind_the_file(convert, unread):
     words = ("--observations", "in.txt:range2", "--columns", "v=3,omega=4,t=2,range=3,label=4", *NOISE)
-    log, _ = convert({"in.txt": MIXED}, "table", "in.txt:odom2", "out", *words)
+    log, said = convert({"in.txt": MIXED}, "table", "in.txt:odom2", "out", *words)
+    assert "in.txt:odom2: columns not used: 5, 6\n" in said
     assert log.recorded.observations.z[:, 0] == pytest.approx(9.0 - np.arange(9))
     assert log.recorded.increments.mean[2, 2] == pytest.approx(0.1)
     assert "rows hold odom2 (9), range2 (9): name those of one kind, as in in.txt:odom2" in unread({"in.txt": MIXED})
