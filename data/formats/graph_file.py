@@ -129,7 +129,7 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
         if tag in OFFSETS:
             (key,), values = _fields(path, number, tag, fields, 1, OFFSETS[tag])
             graph.offsets[key] = _pose(path, number, tag, values)
-    other, indefinite = Counter[str](), list[IndefiniteError]()
+    other, indefinite, own = Counter[str](), list[IndefiniteError](), list[Edge]()
     for number, (tag, *fields) in words:
         if tag in VERTICES:
             kind, count = VERTICES[tag]
@@ -140,7 +140,8 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
             known[key] = kind, _pose(path, number, tag, values)
         elif tag in EDGES:
             try:
-                graph.edges.append(_edge(graph, number, tag, fields))
+                edge = _edge(graph, number, tag, fields)
+                (own if edge.ends[0] == edge.ends[1] and EDGES[tag][2] == EDGES[tag][3] else graph.edges).append(edge)
             except IndefiniteError as error:
                 indefinite.append(error)
         elif tag in PRIORS:
@@ -149,15 +150,20 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
             graph.fixed.extend(_fields(path, number, tag, fields, len(fields), 0)[0])
         elif tag not in OFFSETS:
             other[tag] += 1
+    if own:
+        other[f"{own[0].tag} from a vertex to itself (line {own[0].line}{' first' * (len(own) > 1)})"] = len(own)
     graph.other.update(other)
     if indefinite:
         n, total = len(indefinite), len(indefinite) + len(graph.edges)
         more = f"; so are those of {n} of {total} edges" * (n > 1)
         raise DataError(f"{indefinite[0]}{more}")
     if not graph.edges and not (bare and graph.poses):
-        own = Counter(w[0][:LONG] for _, w in words if w[0][0].isalpha()).most_common(MOST_TAGS)
-        has = f"no edge of a graph among {', '.join(f'{n} {tag}' for tag, n in own)}" if own else "no edge of a graph"
+        tags = Counter(w[0][:LONG] for _, w in words if w[0][0].isalpha()).most_common(MOST_TAGS)
+        has = f"no edge of a graph among {', '.join(f'{n} {tag}' for tag, n in tags)}" if tags else "no edge of a graph"
         raise DataError.at(path, f"{has}; lines of g2o or Toro are needed, with a tag of {', '.join(EDGES)}")
+    turns = np.abs([e.measured[2] for e in graph.edges if graph.kind(e) == (POSE2, POSE2)])
+    if 2 * (turns > 2.0 * math.pi).sum() > np.count_nonzero(turns):
+        raise DataError.at(path, "turns of most edges exceed 2 pi, as in degrees; rad, in their noise too, are needed")
     alone = bool(graph.edges) and len(graph.poses) == 1
     if alone:
         _begin(graph)
@@ -231,6 +237,8 @@ def _check(graph: GraphFile) -> None:
 def _fields(path: Path, line: int, tag: str, fields: list[str], ids: int, count: int) -> tuple[tuple[int, ...], Array]:
     if len(fields) != ids + count:
         more = " (of matrices the upper triangle)" if len(fields) > ids + count else ""
+        more += f"; as gtsam and iSAM write it, {tag} has two ids, a place or pose, and its noise" * (tag in TEXT)
+        more += "".join(f"; {word!r} is no number" for word in fields if not is_number(word))[:LONG]
         raise DataError.at(path, f"{tag} with {len(fields)} numbers; {ids + count} are needed{more}", line=line)
     keys = []
     for word in fields[:ids]:
@@ -270,13 +278,11 @@ def _prior(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
 
 def _edge(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
     path = graph.path
-    measured, d, first, second = EDGES[tag]
+    measured, d, *_ = EDGES[tag]
     ids = IDS.get(tag, 2)
     entries = 2 if tag == "BR" else d * (d + 1) // 2
     bare = tag != "BR" and len(fields) == ids + measured
     keys, values = _fields(path, line, tag, fields, ids, measured + entries * (not bare))
-    if keys[0] == keys[1] and first == second:
-        raise DataError.at(path, f"{tag}: both ends are {keys[0]}; two variables are needed", line=line)
     origin = Origin.ASSUMED if bare else Origin.STATED
     edge = Edge(tag, (keys[0], keys[1]), _pose(path, line, tag, values[:measured]), np.eye(d), line, origin=origin)
     if tag == "BR":

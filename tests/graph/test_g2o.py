@@ -146,7 +146,7 @@ def test_loop_closures_become_closures_and_are_spoken_of(tmp_path):
     chain = "".join(f"VERTEX_SE2 {7 + 2 * k} {k} 0 0\n" for k in range(4))
     chain += "".join(f"EDGE_SE2 {7 + 2 * k} {9 + 2 * k} 1 0 0 100 0 0 100 0 400\n" for k in range(3))
     path = tmp_path / "loop.g2o"
-    path.write_text(chain + "EDGE_SE2 7 13 3.1 0.2 0.1 50 0 0 50 0 80\nEQUIV 7 9\nFIX 9\n")
+    path.write_text(chain + "EDGE_SE2 7 13 3.1 0.2 0.1 50 0 0 50 0 80\nEQUIV 7 9\nEDGE_SE2 9 9 1 0 0\nFIX 9\n")
     assert main(["g2o", str(path), str(tmp_path / "log")]) == 0
     log = load_folder(tmp_path / "log")
     closures = log.recorded.closures
@@ -156,6 +156,7 @@ def test_loop_closures_become_closures_and_are_spoken_of(tmp_path):
     said = " ".join(log.notes)
     assert "1 EDGE_SE2 outside the chain" in said
     assert "1 EQUIV left out" in said
+    assert "1 EDGE_SE2 from a vertex to itself (line 10) left out" in said
     assert "FIX 9" in said
     assert log.recorded.increments.covariance[1] == pytest.approx(np.diag([0.01, 0.01, 0.0025]))
 
@@ -242,10 +243,9 @@ def test_where_one_pose_has_a_line_the_others_begin_where_edges_put_them(tmp_pat
     ("VERTEX_SE2 0 0 0 0\nVERTEX_XY 0 1 1\n", "vertex 0 is repeated"),
     ("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n", "no EDGE_SE2 between the successive poses 0 and 1"),
     ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 5 9 1 0 1 0 1\n", ":2: EDGE_SE2_XY: vertex 5 is missing"),
-    (
-        "VERTEX_SE2 3 0 0 0\nEDGE_SE2 3 3 1 0 0 1 0 0 1 0 1\n",
-        ":2: EDGE_SE2: both ends are 3; two variables are needed",
-    ),
+    ("VERTEX_SE2 3 0 0 0\nEDGE_SE2 3 4 1 0-2 1 0 0 1 0 1\n", "with 10 numbers; 11 are needed; '0-2' is no number"),
+    ("LANDMARK 0 7 24\n", "LANDMARK with 3 numbers; 7 are needed; as gtsam"),
+    ("EDGE_SE2 0 1 1 0 90 1 0 0 1 0 1\nEDGE_SE2 1 2 1 0 0 1 0 0 1 0 1\n", "turns of most edges exceed 2 pi"),
     ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 0 9 1 0 1 0 1e-320\n", ":2: EDGE_SE2_XY: its information is nearly none"),
 ])  # fmt: skip
 def test_what_is_wrong_in_a_file_is_one_line(text, said, tmp_path):
