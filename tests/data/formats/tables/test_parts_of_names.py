@@ -111,7 +111,7 @@ def test_places_along_which_the_odometry_leads_are_fixes(made):
     """Not observations of a landmark, which would stand still, nor the odometry's own path, which would count twice."""
     rng, points = np.random.default_rng(4), se2.transform_points(np.stack([se2.inverse(p) for p in POSE]), [5.0, 2.0])
     far = 6e5 + POSE[:, :2] + 0.1 * rng.standard_normal((COUNT, 2))
-    for names, places, count in (("Easting,Northing", far, COUNT), ("x,y", points, 0), ("x,y", POSE[:, :2], 0)):
+    for names, places, count in (("Easting,Northing", far, COUNT), ("x,y", points, 0), ("x,y", 1.0 + POSE[:, :2], 0)):
         rows = ((t, V, OMEGA, *p) for t, p in zip(TIME, places, strict=True))
         words = ("--fix-sigma", "0.1") if count else ()
         log, said = made({"robot.csv": csv(f"t,v,omega,{names}", rows)}, *words)
