@@ -478,8 +478,10 @@ class Units:
     """Stated units by key: a dimension, a quantity, or `role.quantity`; the narrower key wins."""
 
     given: dict[str, str]
+    typed: frozenset[str] = field(init=False)  # keys that a person stated; names of columns add others
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "typed", frozenset(self.given))
         for key, unit in self.given.items():
             quantity = key.rpartition(".")[2]
             dimension = key if key in DIMENSIONS else QUANTITIES.get(quantity)

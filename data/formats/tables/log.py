@@ -675,7 +675,7 @@ def _fresh(fixes: Fixes, moved: Increments, notes: list[str]) -> Fixes:
 def _counter_clockwise(fixes: Fixes, moved: Increments, wanted: Wanted) -> Fixes:
     """With headings of a compass, or in degrees, from east in rad, where the odometry turns as they do only then."""
     rows = np.flatnonzero(fixes.kind != FixKind.POSITION)
-    if {"theta", "angle", "fixes.theta"} & set(wanted.columns.units.given) or wanted.fix_rotation or len(rows) < MANY:
+    if {"theta", "angle", "fixes.theta"} & wanted.columns.units.typed or wanted.fix_rotation or len(rows) < MANY:
         return fixes
     turned = se2.dead_reckoned(np.zeros(3), moved.mean)[fixes.frame[rows], 2]
     mean = {unit: complex(np.exp(1j * (turned - unit * fixes.z[rows, 2])).mean()) for unit in (1.0, *TURNED)}
@@ -729,6 +729,17 @@ def _onto_map(
     return Start(pose, np.array([loose, loose, loose / spread]), "observations to the map")
 
 
+def _mirrored(moved: Increments, frame: IntArray, place: Array) -> bool:
+    """Whether the odometry's path fits places (F, 2) at frames far better turned over."""
+    path = se2.dead_reckoned(np.zeros(3), moved.mean)[frame, :2]
+    sides = [(p, se2.rigid_fit(p, place)) for p in (path, path * [1.0, -1.0])]
+    off = [np.sum((se2.transform_points(np.tile(pose, (len(p), 1)), p) - place) ** 2) for p, pose in sides]
+    return bool(off[1] * MIRRORED < off[0])
+
+
+MIRRORED = 9.0  # Ratio of squares by which a path turned over fits better
+
+
 def _prior(
     wanted: Wanted, pose: Array | None, known: LandmarkMap | None, moved: Increments, fixes: Fixes | None,
     onto: Start | None,
@@ -750,6 +761,10 @@ def _prior(
             frame = "truth" if pose is not None else "fixes" if known is None else "map"
             what = f"unknown start in the frame of the {frame}"
             right = "--prior X,Y,THETA (m, rad; or as in 90deg), or --prior truth for the first true pose, is needed"
+            if fixes is not None and _mirrored(moved, *fixes.placed[:2]):
+                units = {"velocities": "omega=-rad", "poses": "odometry.y=-m,odometry.theta=-rad"}
+                unit = units.get(wanted.kind, "odometry.dtheta=-rad")
+                right = f"the odometry leads to them if it turns the other way (--unit {unit}, or -deg); else {right}"
             raise UsageError(f"{what}; {right}")
         return Prior(np.zeros(3), np.zeros((3, 3)))
     mean = wanted.prior
