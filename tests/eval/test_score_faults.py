@@ -364,6 +364,10 @@ def test_names_of_planar_covariances_and_split_stamps_are_understood(scored):
     values, _, _ = scored(commas(rows, names), tum(CURVE))
     assert values["nees_position"] == pytest.approx(1.0)
     assert values["nees_heading"] == pytest.approx(1.0)
+    for numbered in ("P00,P01,P02,P11,P12,P22", "P_1,c,b,P_2,a,P_3", "P_0_0,a,b,P_1_1,c,P_5_5"):
+        values, _, said = scored(commas(rows, f"t,x,y,yaw,{numbered}"), tum(CURVE))
+        assert values["nees_position"] == pytest.approx(1.0)
+        assert ("nees_heading" in values, "inferred: its covariance" in said) == ("5" not in numbered, True)
     names = "t,ekf_x,ekf_y,ekf_yaw,ekf_std_x [cm],ekf_sigma_y,ekf_std_yaw_deg"
     rows = [(k, x + 0.1, y, 0.2, 10.0, 0.2, math.degrees(0.2)) for k, (x, y) in enumerate(CURVE)]
     for header, right in ((names, {"nees_position": 1.0, "nees_heading": 1.0}), (names.replace("ekf_s", "gps_s"), {})):

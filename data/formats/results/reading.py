@@ -119,7 +119,8 @@ def header_names(text: Text, manner: Manner) -> Columns | None:
 
 def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, in_data: bool) -> Columns:
     """The column of each role: the stated one, else by its name; of an estimate and a truth in one row those of one."""
-    read, place, earth = [*map(cache(role_of), names)], {}, {"lat", "lon"}  # most names of a wide row are blank
+    entry, place, earth = _by_number(names), {}, {"lat", "lon"}
+    read = [*map(cache(role_of), (entry.get(name, name) for name in names))]  # most names of a wide row are blank
     for role, name in manner.columns.items():
         number = int(name) - 1 if name.isdecimal() else -1
         if name not in names and not 0 <= number < len(names):
@@ -181,6 +182,18 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
         place["t"], unit["t"] = place.pop("nanoseconds"), "ns"
     covariances = (*(names[place[role]] for role in spread if role in place),)
     return Columns(place, unit, unread, len(names), line, in_data, "", covariances)
+
+
+def _by_number(names: Sequence[str]) -> dict[str, str]:
+    """Names c_xx to c_tt of the entries P00, P_0_1 or P[1][1] of a covariance, or of variances P_0 to P_2: of x, y and
+    heading, or of x and y of a larger state.
+    """
+    digits = {n: re.findall(r"\d", n) for n in names if re.fullmatch(r"P_?\[?\d[\]\[_,]*\d\]?|P_\d", n)}
+    pair = {n: (int(d[0]), int(d[-1])) for n, d in digits.items()}
+    low, high = min(map(min, pair.values()), default=2), max(map(max, pair.values()), default=2)
+    axes = "xyt" if high - low < 3 else "xy" * all(len(d) == 2 for d in digits.values())
+    usable = low < 2 and {(low, low), (low + 1, low + 1)} <= {*pair.values()}
+    return {n: f"c_{axes[i - low]}{axes[j - low]}" for n, (i, j) in pair.items() if usable and i <= j < low + len(axes)}
 
 
 def topic_of(name: str) -> str:
@@ -348,10 +361,13 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
 def _variances(value: dict[str, Array], columns: Columns) -> tuple[dict[str, Array], str]:
     """The values with covariances by columns of variances or sigmas, in m and the unit of headings; and a note."""
     whole, mixed = set(COVARIANCE) <= {*value}, {"c_xy", "c_xt", "c_yt"} & {*value}
-    if whole or mixed or not {"c_xx", "s_x"} & {*value}:
+    if whole:
+        of = f"inferred: its covariance of x, y and heading is {', '.join(columns.spread)}"
+        return value, of * bool(_by_number(columns.spread))
+    if mixed or not {"c_xx", "s_x"} & {*value}:
         lost = [n for n in (*columns.spread, *columns.unread) if re.search(SPREADS, n)]
         said = f"no covariance is read of {', '.join(lost[:SHOWN])}: c_xx to c_tt, or sigma_x, sigma_y, are known"
-        return value, said * bool(lost and not whole)
+        return value, said * bool(lost)
     made = dict.fromkeys(COVARIANCE, np.zeros(len(value["t"])))
     for axis, role in zip("xyzt", ("x", "y", "z", "yaw"), strict=True):
         given = c if (c := f"c_{axis}{axis}") in value else f"s_{axis}"

@@ -144,10 +144,12 @@ def test_the_unit_of_lengths_is_that_of_flags_too(rows):
     "t,x,y,theta\n" + "".join(f"{k},{SPEED * k},0,\n" for k in range(12)),
     "t,x,y,qx,qy,qz,qw\n" + "".join(f"{k},{SPEED * k},0,0,0,0,0\n" for k in range(12)),
 ])  # fmt: skip
-def test_a_truth_of_positions_alone_is_a_truth(rows, truth):
-    start = ("--prior", "0,0,0", "--prior-sigma", "0,0,0")
-    log, said = rows(DRIVE, *start, observations="t,x,y\n1,2,0\n2.5,2,0\n", truth=truth)
-    assert "truth.csv: no heading in this file: positions alone are scored" in said
+def test_a_truth_has_headings_or_is_one_of_positions_alone(rows, names, more, words, heading):
+    """Not those of a blank column, nor of one that nobody named beside a stated quaternion."""
+    start, truth = ("--prior", "0,0,0", "--prior-sigma", "0,0,0"), [f"{k},{SPEED * k},0{more}\n" for k in range(12)]
+    truth = f"t,x,y{names}\n{''.join(truth)}"
+    log, said = rows(DRIVE, *start, *words, observations="t,x,y\n1,2,0\n2.5,2,0\n", truth=truth)
+    assert ("truth.csv: no heading in this file: positions alone are scored" in said) == (heading is None)
     assert log.truth.known_poses == len(log.recorded)
     assert not log.truth.has_headings
     assert log.truth.pose[:, 0] == pytest.approx(SPEED * log.recorded.time)
