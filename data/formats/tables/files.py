@@ -451,7 +451,7 @@ def solid_stars(file: TextTable, stated: Mapping[str, str]) -> dict[str, str]:
     return found
 
 
-ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}
+ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi, "compass": -math.pi / 180.0}
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 DIMENSIONS = {"length": LENGTH | {"mi": 1609.344, "nmi": 1852.0}, "angle": ANGLE, "time": TIME}
 
@@ -910,6 +910,8 @@ class Columns:
                 values[q] = numbered
                 continue
             values[q] = file.numbers(c, keep, dates) * self.units.factor(role, EARTH[q] if q in earth else q)
+            if q == "theta" and (self.units.unit(role, q) or self.units.given.get("angle")) == "compass":  # north is y
+                values[q] += 0.5 * math.pi
         for q, c in columns.items():
             of = np.where(values[q] > 0.0, values[q], np.nan) if q == "range" else values[q]  # others are left out
             if QUANTITIES[q] not in ("", "time") and q[0] != "s" and (found := unmeasured(of)) is not None:
