@@ -12,7 +12,7 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from itertools import groupby
 from pathlib import Path
 from typing import Self
@@ -105,6 +105,11 @@ class TextTable:
         """With one more column, of a number (K,) for each row."""
         rows = tuple((*row, str(k)) for row, k in zip(self.rows, number.tolist(), strict=True))
         return replace(self, names=(*self.names, name), rows=rows)
+
+    @cached_property
+    def filled(self) -> tuple[int, ...]:
+        """The columns with a field that is not blank."""
+        return tuple(k for k in range(len(self.names)) if any(row[k] for row in self.rows))
 
     def text(self, column: int, keep: BoolArray) -> list[str]:
         """The fields of a column in the rows to keep (K,)."""
@@ -707,7 +712,7 @@ class Columns:
                 near = did_you_mean(self.given[key], file.names)
                 raise DataError.at(file.path, f"no column {self.given[key]!r}{near} ({key}); it has {file.described()}")
         usual = (quantity.replace("theta", "yaw"), quantity)
-        meant = {c: meaning(name) for c, name in enumerate(file.names) if file.named}
+        meant = {c: meaning(file.names[c]) for c in file.filled if file.named}
         more = (quantity, *ALSO.get(quantity, ()), *["id"] * (quantity == "label" and role not in ROLES[2:]))
         whole, apart = ([c for c, (_, *m) in meant.items() if m[k][0] in usual or m[k][1] in more] for k in (0, 1))
         also = [c for c in apart if role in meant[c][0]]

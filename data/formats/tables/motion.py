@@ -143,10 +143,12 @@ def pose_columns(file: TextTable, columns: Columns, role: str) -> tuple[str, ...
     """x, y and theta, or a quaternion instead of a missing theta; of a truth without either x and y."""
     if role == "truth" and columns.stated(role, ("dx",)):
         raise DataError.at(file.path, "steps as a truth; true poses x, y, theta are needed, which the steps lead to")
-    if role == "truth" and columns.find(file, role, "theta") is None and not columns.has(file, role, QUATERNION):
-        return "x", "y"
-    quaternion = columns.find(file, role, "theta") is None and columns.has(file, role, QUATERNION)
-    return ("x", "y", *QUATERNION) if quaternion else ("x", "y", "theta")
+    typed, whole = {*columns.given}, columns.has(file, role, QUATERNION)
+    named = typed & {"qx", f"{role}.qx"} and not typed & {"theta", f"{role}.theta"}
+    own = None if named else columns.find(file, role, "theta")
+    theta = own is not None and (own in file.filled or not whole)
+    turn = QUATERNION if whole and not theta else () if role == "truth" and not theta else ("theta",)
+    return ("x", "y", *turn)
 
 
 def read_odometry(

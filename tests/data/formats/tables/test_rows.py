@@ -139,10 +139,14 @@ def test_the_unit_of_lengths_is_that_of_flags_too(rows):
     assert r.increments.covariance[1, 0, 0] == pytest.approx(0.01**2 * SPEED, rel=1e-6)
 
 
-@pytest.mark.parametrize("truth", [
-    "t,x,y\n" + "".join(f"{k},{SPEED * k},0\n" for k in range(12)),
-    "t,x,y,theta\n" + "".join(f"{k},{SPEED * k},0,\n" for k in range(12)),
-    "t,x,y,qx,qy,qz,qw\n" + "".join(f"{k},{SPEED * k},0,0,0,0,0\n" for k in range(12)),
+NORTH = 0.5 * np.pi
+
+
+@pytest.mark.parametrize(("names", "more", "words", "heading"), [
+    ("", "", (), None), (",theta", ",", (), None), (",qx,qy,qz,qw", ",0,0,0,0", (), None),
+    *((f",{name},qx,qy,qz,qw", ",,0,0,1,1", (), NORTH) for name in ("orientation", "theta")),
+    (",theta", ",0", ("--unit", "truth.theta=compass"), NORTH),
+    (",theta,a,b,c,d", ",9,0,0,1,1", ("--columns", "truth.qx=a,truth.qy=b,truth.qz=c,truth.qw=d"), NORTH),
 ])  # fmt: skip
 def test_a_truth_has_headings_or_is_one_of_positions_alone(rows, names, more, words, heading):
     """Not those of a blank column, nor of one that nobody named beside a stated quaternion."""
@@ -151,5 +155,5 @@ def test_a_truth_has_headings_or_is_one_of_positions_alone(rows, names, more, wo
     log, said = rows(DRIVE, *start, *words, observations="t,x,y\n1,2,0\n2.5,2,0\n", truth=truth)
     assert ("truth.csv: no heading in this file: positions alone are scored" in said) == (heading is None)
     assert log.truth.known_poses == len(log.recorded)
-    assert not log.truth.has_headings
+    assert not log.truth.has_headings if heading is None else log.truth.pose[:, 2] == pytest.approx(heading)
     assert log.truth.pose[:, 0] == pytest.approx(SPEED * log.recorded.time)
