@@ -145,7 +145,8 @@ def pose_columns(file: TextTable, columns: Columns, role: str) -> tuple[str, ...
         raise DataError.at(file.path, "steps as a truth; true poses x, y, theta are needed, which the steps lead to")
     typed, whole = {*columns.given}, columns.has(file, role, QUATERNION)
     named = typed & {"qx", f"{role}.qx"} and not typed & {"theta", f"{role}.theta"}
-    theta = not named and columns.find(file, role, "theta") is not None
+    own = None if named else columns.find(file, role, "theta")
+    theta = own is not None and (own in file.filled or not whole)
     turn = QUATERNION if whole and not theta else () if role == "truth" and not theta else ("theta",)
     return ("x", "y", *turn)
 

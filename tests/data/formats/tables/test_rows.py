@@ -144,13 +144,16 @@ NORTH = 0.5 * np.pi
 
 @pytest.mark.parametrize(("names", "more", "words", "heading"), [
     ("", "", (), None), (",theta", ",", (), None), (",qx,qy,qz,qw", ",0,0,0,0", (), None),
-    (",orientation,qx,qy,qz,qw", ",,0,0,1,1", (), NORTH), (",theta", ",0", ("--unit", "truth.theta=compass"), NORTH),
+    *((f",{name},qx,qy,qz,qw", ",,0,0,1,1", (), NORTH) for name in ("orientation", "theta")),
+    (",theta", ",0", ("--unit", "truth.theta=compass"), NORTH),
     (",theta,a,b,c,d", ",9,0,0,1,1", ("--columns", "truth.qx=a,truth.qy=b,truth.qz=c,truth.qw=d"), NORTH),
 ])  # fmt: skip
-def test_a_truth_of_positions_alone_is_a_truth(rows, truth):
-    start = ("--prior", "0,0,0", "--prior-sigma", "0,0,0")
-    log, said = rows(DRIVE, *start, observations="t,x,y\n1,2,0\n2.5,2,0\n", truth=truth)
-    assert "truth.csv: no heading in this file: positions alone are scored" in said
+def test_a_truth_has_headings_or_is_one_of_positions_alone(rows, names, more, words, heading):
+    """Not those of a blank column, nor of one that nobody named beside a stated quaternion."""
+    start, truth = ("--prior", "0,0,0", "--prior-sigma", "0,0,0"), [f"{k},{SPEED * k},0{more}\n" for k in range(12)]
+    truth = f"t,x,y{names}\n{''.join(truth)}"
+    log, said = rows(DRIVE, *start, *words, observations="t,x,y\n1,2,0\n2.5,2,0\n", truth=truth)
+    assert ("truth.csv: no heading in this file: positions alone are scored" in said) == (heading is None)
     assert log.truth.known_poses == len(log.recorded)
     assert not log.truth.has_headings if heading is None else log.truth.pose[:, 2] == pytest.approx(heading)
     assert log.truth.pose[:, 0] == pytest.approx(SPEED * log.recorded.time)
