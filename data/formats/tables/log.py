@@ -732,6 +732,8 @@ def _onto_map(
 def _mirrored(moved: Increments, frame: IntArray, place: Array) -> bool:
     """Whether the odometry's path fits places (F, 2) at frames far better turned over."""
     path = se2.dead_reckoned(np.zeros(3), moved.mean)[frame, :2]
+    if not len(frame):
+        return False
     sides = [(p, se2.rigid_fit(p, place)) for p in (path, path * [1.0, -1.0])]
     off = [np.sum((se2.transform_points(np.tile(pose, (len(p), 1)), p) - place) ** 2) for p, pose in sides]
     return bool(off[1] * MIRRORED < off[0])
@@ -750,7 +752,8 @@ def _prior(
         wanted.columns.notes.append(onto.said())
         return Prior(onto.pose, np.diag(onto.sigma**2))
     free = wanted.prior is None and pose is None and known is None
-    start = onto_fixes(fixes, moved.mean, moved.covariance) if free and fixes is not None else None
+    turned = fixes is not None and _mirrored(moved, *fixes.placed[:2])
+    start = onto_fixes(fixes, moved.mean, moved.covariance) if free and fixes is not None and not turned else None
     if start is not None and fixes is not None and _agree(fixes, moved, start.pose):
         fits = way_share(moved, *fixes.placed) is None
         wanted.columns.origins["prior"] = Origin.INFERRED if fits else Origin.ASSUMED
@@ -761,10 +764,10 @@ def _prior(
             frame = "truth" if pose is not None else "fixes" if known is None else "map"
             what = f"unknown start in the frame of the {frame}"
             right = "--prior X,Y,THETA (m, rad; or as in 90deg), or --prior truth for the first true pose, is needed"
-            if fixes is not None and _mirrored(moved, *fixes.placed[:2]):
-                units = {"velocities": "omega=-rad", "poses": "odometry.y=-m,odometry.theta=-rad"}
+            if turned:
+                units = {"velocities": "omega=-rad/s", "poses": "odometry.y=-m,odometry.theta=-rad"}
                 unit = units.get(wanted.kind, "odometry.dtheta=-rad")
-                right = f"the odometry leads to them if it turns the other way (--unit {unit}, or -deg); else {right}"
+                right = f"the odometry leads to them if it turns the other way (--unit {unit}, or in deg); else {right}"
             raise UsageError(f"{what}; {right}")
         return Prior(np.zeros(3), np.zeros((3, 3)))
     mean = wanted.prior

@@ -122,15 +122,15 @@ def test_places_along_which_the_odometry_leads_are_fixes(made):
             assert float(said.split("--prior=")[1].split(",")[0]) == pytest.approx(log.recorded.prior.mean[0], abs=0.01)
 
 
-def test_an_odometry_that_turns_the_other_way_than_the_fixes_is_named(convert, made):
+def test_an_odometry_that_turns_the_other_way_than_the_fixes_is_named(convert):
     """Headings named in deg are still of a compass where the odometry turns so only."""
     files = {"robot.csv": csv("t,v,omega,lat,lon,heading (deg)", (
         (t, V, -OMEGA, 48.0 + p[1] / 111e3, 11.0 + p[0] / 74e3, 90.0 - np.degrees(p[2]))
         for t, p in ((0.25 * k, se2.along_arcs(np.array([V * 0.25 * k]), np.array([OMEGA * 0.25 * k]))[0])
                      for k in range(80))))}  # fmt: skip
     words = ("table", "robot.csv", "out", "--fix-sigma", "0.2,0.2,3deg")
-    print(convert(files, *words)[1])
-    log, said = convert(files, *words, "--unit", "omega=-rad")
+    assert "turns the other way (--unit omega=-rad/s" in convert(files, *words, status=2)
+    log, said = convert(files, *words, "--unit", "omega=-rad/s")
     assert "headings of fixes are clockwise from north" in said
     assert log.recorded.prior.mean[2] == pytest.approx(0.0, abs=0.1)
 
