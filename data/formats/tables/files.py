@@ -9,6 +9,7 @@ import csv
 import itertools
 import math
 import re
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
@@ -208,6 +209,7 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
     said = [title]
     if cut := cut_end(rows, int(number[-1])):
         rows, number, said = rows[:-1], number[:-1], [title, cut]
+    rows = _uncounted(rows) if names is None else rows
     if each := _each(rows) if names is None else 0:
         number = np.repeat(number, [len(row) // each for row in rows])
         rows = [(row[0], *row[k : k + each]) for row in rows for k in range(1, len(row), each)]
@@ -280,8 +282,10 @@ def _lists(
         shape, stem, blank = tuple(map(len, parts)), names[j] if names else str(j + 1), [("",) * width]
         if most > 1 and shape not in below:
             below[shape] = [len(rows) + k for k in range(sum(shape))]
+            stamps = {c for c, name in enumerate(names or ()) if {*words_of(name)[0]} & {*STAMP}}
             rows = [(*row, "") for row in rows]
-            rows += [(*[""] * (len(rows[0]) - 1), str(k)) for k, some in enumerate(parts) for _ in some]
+            each = ((k, rows[k]) for k, some in enumerate(parts) for _ in some)
+            rows += [(*(f if c in stamps else "" for c, f in enumerate(row[:-1])), str(k)) for k, row in each]
             number = np.concatenate([number, np.repeat(number[:count], shape)])
             names = (*names, f"{stem}.{ELEMENT}") if names else None
         put = [*([tuple(some[0])] if some else blank for some in parts)] if most == 1 else [blank] * count
@@ -295,6 +299,13 @@ def _lists(
 
 
 MANY = 50  # First rows, of which one shows whether a column holds lists
+
+
+def _uncounted(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Rows without their second number, where it says how many groups of two or three numbers follow in each."""
+    several = len({*map(len, rows)}) > 1 and all(len(row) > 1 and is_number(row[1]) for row in rows)
+    counted = (all(len(row) - 2 == each * float(row[1]) for row in rows) for each in (2, 3))
+    return [(row[0], *row[2:]) for row in rows] if several and any(counted) else rows
 
 
 def _each(rows: Sequence[Sequence[str]]) -> int:
@@ -603,11 +614,31 @@ def _comes_again(file: TextTable, column: int) -> bool:
 
 PARTS = {
     "odometry": frozenset(("odom", "odometry", "wheel", "encoder", "enc")),
-    "observations": frozenset(("obs", "observation", "meas", "measurement", "detection")),
+    "observations": frozenset(
+        ("obs", "observation", "meas", "measurement", "detection", "cone", "feature", "landmark", "lm", "beacon")
+    ),
     "fixes": frozenset(("gps", "gnss", "uwb", "rtk", "fix")),
     "truth": TRUE | REFERENCE | {"ground", "vicon", "mocap", "optitrack", "actual"},
 }  # fmt: skip
 """Words in the name of a column, in the singular, that tell the part it is of."""
+ALSO_OF = {"odometry": {"motion", "control", "ctrl", "cmd", "vel"}, "observations": {"sensor", "range", "bearing"}}
+"""Words of a kind of rows, beside those of `PARTS`."""
+
+
+def kinds_by_part(path: Path) -> dict[str, Path]:
+    """FILE:WORD by part, of a file whose lines begin with few words, of which each tells another part; else none."""
+    if not path.is_file() or is_arrays(path):
+        return {}
+    begin = [re.split(r"[\s,;:]+", line.strip())[0] for _, line in read_lines(path)[0] if line.strip()]
+    words = [word for word, n in Counter(begin).items() if n > 1 and not is_number(word)]
+    if not 1 < len(words) <= NAMED or sum(word in words for word in begin) < len(begin) - 1:
+        return {}
+    each = {word: word.lower().rstrip("0123456789") for word in words}
+    of = [(part, w) for part in PARTS for w, low in each.items() if low in PARTS[part] | ALSO_OF.get(part, set())]
+    found = {part: Path(f"{path}:{word}") for part, word in of}
+    return found if "odometry" in found and len(found) == len(of) else {}
+
+
 COMMANDED = frozenset(("cmd", "command", "commanded", "control", "input"))  # Beside measured speeds not taken
 
 
@@ -725,6 +756,7 @@ class Columns:
         usual = (quantity.replace("theta", "yaw"), quantity)
         meant = {c: meaning(file.names[c]) for c in file.filled if file.named}
         more = (quantity, *ALSO.get(quantity, ()), *["id"] * (quantity == "label" and role not in ROLES[2:]))
+        more += ("ids",) * ("id" in more) + (f"{quantity}s",) * (quantity in STARRED[:2])
         whole, apart = ([c for c, (_, *m) in meant.items() if m[k][0] in usual or m[k][1] in more] for k in (0, 1))
         also = [c for c in apart if role in meant[c][0]]
         exact = file.named and quantity in file.names and (not also or (role == "odometry" and quantity in TWIST))

@@ -57,7 +57,10 @@ def by_layout(file: TextTable, role: str, *, alone: bool = True) -> tuple[TextTa
 def _parts(file: TextTable) -> list[TextTable]:
     """The matrices of a file, or a whole file without names; of numbers alone."""
     matrices: dict[str, list[int]] = {}
+    words = {c for c, field in enumerate(file.rows[0]) if not (file.named or is_number(field))}  # of a kind of rows
     for column, name in enumerate(file.names):
+        if (column in words and all(row[column] == file.rows[0][column] for row in file.rows)) or name == "frame":
+            continue
         if not file.named or (matched := re.fullmatch(r"(.+)_\d+", name)):
             matrices.setdefault(matched[1] if file.named and matched else "", []).append(column)
     parts = []

@@ -339,6 +339,9 @@ def settle(given: Given) -> Wanted:
         columns.period = table_files.quantity_with_unit(str(given["period"]), "time", "--period")
     if given[LENGTH]:
         columns.notes.append(f"lengths of flags without a unit are in {given[LENGTH]}, as --unit states")
+    if len(kinds := table_files.kinds_by_part(files["odometry"])) > 1:
+        files |= {role: path for role, path in kinds.items() if role == "odometry" or role not in files}
+        columns.notes.append("inferred: " + ", ".join(f"--{role} {path}" for role, path in kinds.items()))
     read: dict[Path, TextTable] = {}  # a file with several roles is read once
     for role, path in files.items():
         count, seen = len(next(iter(read.values()), ())), role in (OBSERVATIONS, *several)
@@ -406,6 +409,7 @@ def settle(given: Given) -> Wanted:
         if (found := seen_by_layout(texts[role], lambda: path_of(texts, columns, kind))) is not None:
             texts[role], told, of, before = found
             columns.read |= {(texts[role].path, name) for name in before}
+            columns.given = {key: name for key, name in columns.given.items() if key != f"{role}.frame"}
             units.given.update({f"{role}.{q}": unit for q, unit in of.items()})
             columns.notes.append(f"{files[role].name}: inferred: {told}, as which alone landmarks stand still")
     for role in (r for r in (OBSERVATIONS, *several) if {r, "map"} <= {*texts}):

@@ -179,6 +179,29 @@ def test_matrices_are_the_parts_that_their_names_tell(made, suffix):
     assert log.truth.pose[:, :2] == pytest.approx(POSE[:, :2])
 
 
+@pytest.mark.parametrize("form", ["kinds of rows", "lists in fields", "counted"])
+def test_observations_of_every_instant_in_forms_of_programs(made, form):
+    """Lines of kinds that their first words tell, lists of ids, ranges and bearings, a number of groups that follow."""
+    seen = [[(j, *z) for j, z in enumerate(zs) if (k + j) % 4 and (k % 5 or j)] for k, zs in enumerate(POLAR)]
+    files = {"a.txt": csv("t,v,omega", ((t, V, OMEGA) for t in TIME)), "b.txt": ""}
+    if form == "kinds of rows":
+        rows = [
+            f"odom,{t},{V},{OMEGA}\n" + "".join(f"lm,{t},{j},{r},{b}\n" for j, r, b in zs) for t, zs in zip(TIME, seen)
+        ]
+        files = {"a.txt": "".join(rows)}
+    elif form == "counted":
+        rows = [f"{t} {len(zs)} " + " ".join(f"{j} {r} {b}" for j, r, b in zs) for t, zs in zip(TIME, seen)]
+        files["b.txt"] = "\n".join(rows)
+    else:
+        each = ([[*c] for c in zip(*zs)] for zs in seen)
+        rows = (f'{t},"{c[0]}","{[float(v) for v in c[1]]}","{[float(v) for v in c[2]]}"' for t, c in zip(TIME, each))
+        files["b.txt"] = "time,ids,ranges,bearings\n" + "\n".join(rows)
+    log, _ = made(files, *("--observations", "b.txt") * (len(files) > 1))
+    assert log.recorded.observations.z == pytest.approx(np.array([z[1:] for zs in seen for z in zs]))
+    assert log.label.tolist() == [z[0] for zs in seen for z in zs]
+    assert log.recorded.time[log.recorded.observations.frame] == pytest.approx(np.repeat(TIME, list(map(len, seen))))
+
+
 def test_objects_by_number_may_be_one(made):
     rows = [{"t": t, "v": V, "w": OMEGA, "seen": {j: list(z) for j, z in enumerate(zs[: 1 + k % 3])}}
             for k, (t, zs) in enumerate(zip(TIME, POLAR, strict=True))]  # fmt: skip
