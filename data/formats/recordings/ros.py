@@ -20,10 +20,8 @@ from data.se2 import Array
 
 SCAN, ODOMETRY, TRANSFORMS = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
 OLD_TRANSFORMS = "tf/msg/tfMessage"
-POSED = (
-    *(f"geometry_msgs/msg/{name}" for name in ("PoseStamped", "TransformStamped", "Pose", "Pose2D")),
-    "turtlesim/msg/Pose",
-)
+WITH_ROTATION = ("PoseStamped", "TransformStamped", "Pose", "Pose2D")
+POSED = ("turtlesim/msg/Pose", *(f"geometry_msgs/msg/{name}" for name in WITH_ROTATION))
 PLACES = (*POSED, *(f"geometry_msgs/msg/{name}" for name in ("PointStamped", "Vector3Stamped", "Point", "Vector3")))
 """Types of one pose, or of one pose or place, without a covariance; some have no stamp."""
 STILL = 1e-3  # m and 1: translations and quaternions of a transform that holds differ by at most this
