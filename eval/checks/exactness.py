@@ -335,7 +335,6 @@ most `APPROXIMATE` is allowed."""
 ALIKE = 0.1  # a mistake is named if its filter is this much closer to the estimator than the exact one
 KNOWN = 1e-4  # rad; a heading with a smaller standard deviation is known
 GATE, NEW_GATE = 0.99, 0.99999
-ONE = 1e-9  # m, rad; motions of samples that differ less are one
 
 
 Quantity = StrEnum(
@@ -480,8 +479,8 @@ def first_step(text: str, inputs: Inputs, allowed: float) -> Bug | None:
     off = np.abs([*shift / sigma, *0.5 * ((covariance - prior.covariance) / _outer(sigma)).ravel()])
     if np.nanmax(off) > max(allowed, NEARLY):
         return Bug.PRIOR_ELSEWHERE
-    alike = samples.ndim == 2 and samples.shape == moved.shape and np.ptp(between(samples, moved), axis=0).max() < ONE
-    return Bug.ONE_DRAW if alike else None
+    each = between(samples, moved) if samples.ndim == 2 and samples.shape == moved.shape else None
+    return Bug.ONE_DRAW if each is not None and np.ptp(each, axis=0).max() < EXACTLY else None
 
 
 def inputs_of(world: str, task: str) -> Inputs:

@@ -99,14 +99,11 @@ def placed(message: Any, where: str) -> tuple[float, ...]:
     of = message.poses[0] if hasattr(message, "poses") else message
     for part in ("transform", "pose", "pose", "point", "vector"):  # of a pose with covariance within its pose
         of = getattr(of, part, of)
-    p, q = (next((getattr(of, n) for n in names if hasattr(of, n)), None) for names in (PLACE, TURN))
-    if p is not None and q is not None:
+    p, q = getattr(of, "position", getattr(of, "translation", of)), getattr(of, "orientation", None)
+    if (q := getattr(of, "rotation", q)) is not None:
         return p.x, p.y, p.z, q.x, q.y, q.z, q.w
     turn = (math.sin(0.5 * of.theta), math.cos(0.5 * of.theta)) if hasattr(of, "theta") else (0.0, 0.0)
-    return of.x, of.y, getattr(of, "z", 0.0), 0.0, 0.0, *turn
-
-
-PLACE, TURN = ("position", "translation"), ("orientation", "rotation")
+    return p.x, p.y, getattr(p, "z", 0.0), 0.0, 0.0, *turn
 
 
 def heading(q: tuple[float, float, float, float] | Array) -> float:
