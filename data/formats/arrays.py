@@ -166,7 +166,8 @@ def columns_of(
     for name, value in found.items():
         turned = np.ndim(value) == 2 and len(value.T) in along and len(value) not in along
         value = value.T if turned and len(value) > WIDE[0] else value  # an instant in each column
-        columns |= _unrolled("" if [name] == structs else name, value)
+        upright = np.ndim(value) == 2 and kind_of(value) == "numbers" and len(value) in along  # an instant in each row
+        columns |= _numbered(name, value) if upright else _unrolled("" if [name] == structs else name, value)
     if word:
         own = {k.removeprefix(f"{word}."): c for k, c in columns.items() if k.startswith(f"{word}.")}
         if not {*own} & {*STAMP}:  # those beside it, of as many rows

@@ -281,8 +281,10 @@ CLOSURES = Part("close_loops", "closures", "relative")
 
 @check("fixes")
 def fixes(text: str, task: str) -> Iterator[Finding | str]:
-    """Positions on a lever, headings of a turned compass, and poses, if it has `fix`."""
-    yield from _checked(text, replace(measured(task), closures=None), task, FIXES)
+    """Positions on a lever, headings of a turned compass, and poses, if it has `fix`; to localize by these alone."""
+    inputs, o = replace(measured(task), closures=None), measured(task).observations
+    seen = o if task == "slam" else o.only(np.zeros(len(o.frame), bool))
+    yield from _checked(text, replace(inputs, observations=seen), task, FIXES)
 
 
 @check("closures")

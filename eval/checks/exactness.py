@@ -19,13 +19,13 @@ from association.expectation import Expectation, SingularInnovationError
 from data.blocks import block_diagonal, coordinates, diagonal_blocks
 from data.inputs import Frame, FrameObservations, Inputs, IntArray
 from data.result import DISCARD, NEW
-from data.se2 import Array, compose, world_from_body, wrap_angle
+from data.se2 import Array, between, compose, world_from_body, wrap_angle
 from data.sensors import RangeBearing
 from data.words import environment
 from eval.checks import worlds
 from eval.checks.finding import APPROXIMATE, Finding, check
 from eval.replay.estimators import Able, Estimator, capabilities, make_estimator
-from eval.replay.external.adapter import Adapter, ForeignError, call, load
+from eval.replay.external.adapter import Adapter, ForeignError, call, load, pose_of
 from eval.replay.external.spec import is_foreign
 from eval.replay.run import DIVERGED
 from eval.replay.settings import INCREMENTAL
@@ -41,7 +41,7 @@ Bug = StrEnum(
     "NEW_FROM_PREDICTION NEW_FIXED NEW_FIXED_CORRECTED FIRST_DROPPED LAST_DROPPED EVERY_SECOND_DROPPED ALL_DROPPED "
     "DISCARDED_USED POSE_IN_BODY_FRAME JOINT_UNCORRELATED JOINT_PERMUTED EXPECTED_WITH_NOISE "
     "EXPECTED_WITHOUT_LANDMARK EXPECTED_BEFORE_MOTION NIS_IS_DOF NIS_OF_RESIDUALS NIS_WITHOUT_STATE NIS_WITHOUT_NOISE "
-    "NIS_UNCORRELATED",
+    "NIS_UNCORRELATED PRIOR_ELSEWHERE ONE_DRAW",
 )  # mistakes in a Kalman filter; `templates/checks.j2` has the words
 
 Change = Callable[[Array], Array]
@@ -447,7 +447,7 @@ def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:
     first = begin.get(Quantity.LANDMARKS, 0)
     # landmarks that are elsewhere as soon as there are any were initialized elsewhere, which no update explains
     elsewhere = order[:1] == [Quantity.LANDMARKS] and not any(len(s.number) for s in right[:first])
-    bug = None if elsewhere else likely(world, task, mine)
+    bug = None if elsewhere else likely(world, task, mine) or first_step(text, inputs_of(world, task), allowed)
     left_out = len(begin) > 1 and all(np.isin(g.used, r.used).all() for g, r in zip(given, right, strict=False))
     facts: list[Fact] = []
     for q in order:
@@ -457,6 +457,30 @@ def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:
         off = Deviation(world, q, begin[q], len(chosen) > 0, q is order[0], largest[q], limit, own, exact, new)
         facts.append(replace(off, left_out=left_out and q is Quantity.USED))
     return facts if stop is None else [*facts, Stopped(world, len(given), str(stop), bug)]
+
+
+def first_step(text: str, inputs: Inputs, allowed: float) -> Bug | None:
+    """The mistake that a foreign estimator shows before any observation: a pose or covariance other than the prior's by
+    more than what is `allowed` or `NEARLY` [sigma], or samples that all move alike.
+    """
+    estimator, prior, step = make_estimator(text, inputs), inputs.prior, inputs.frame(1).increment
+    if not isinstance(estimator, Adapter) or step is None:
+        return None
+    try:
+        begun = call(text, estimator.inner.estimate)
+        pose, covariance = pose_of(text, begun)
+        samples = np.array(getattr(begun, "poses", pose))
+        estimator.predict(step)
+        moved = np.array(getattr(call(text, estimator.inner.estimate), "poses", pose))
+    except (ForeignError, *DIVERGED):
+        return None
+    sigma, shift = np.sqrt(np.diag(prior.covariance)), pose - prior.mean
+    shift[2] = wrap_angle(float(shift[2]))
+    off = np.abs([*shift / sigma, *0.5 * ((covariance - prior.covariance) / _outer(sigma)).ravel()])
+    if np.nanmax(off) > max(allowed, NEARLY):
+        return Bug.PRIOR_ELSEWHERE
+    each = between(samples, moved) if samples.ndim == 2 and samples.shape == moved.shape else None
+    return Bug.ONE_DRAW if each is not None and np.ptp(each, axis=0).max() < EXACTLY else None
 
 
 def inputs_of(world: str, task: str) -> Inputs:

@@ -20,10 +20,8 @@ from data.se2 import Array
 
 SCAN, ODOMETRY, TRANSFORMS = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
 OLD_TRANSFORMS = "tf/msg/tfMessage"
-POSED = (
-    *(f"geometry_msgs/msg/{name}" for name in ("PoseStamped", "TransformStamped", "Pose", "Pose2D")),
-    "turtlesim/msg/Pose",
-)
+WITH_ROTATION = ("PoseStamped", "TransformStamped", "Pose", "Pose2D")
+POSED = ("turtlesim/msg/Pose", *(f"geometry_msgs/msg/{name}" for name in WITH_ROTATION))
 PLACES = (*POSED, *(f"geometry_msgs/msg/{name}" for name in ("PointStamped", "Vector3Stamped", "Point", "Vector3")))
 """Types of one pose, or of one pose or place, without a covariance; some have no stamp."""
 STILL = 1e-3  # m and 1: translations and quaternions of a transform that holds differ by at most this
@@ -101,14 +99,11 @@ def placed(message: Any, where: str) -> tuple[float, ...]:
     of = message.poses[0] if hasattr(message, "poses") else message
     for part in ("transform", "pose", "pose", "point", "vector"):  # of a pose with covariance within its pose
         of = getattr(of, part, of)
-    p, q = (next((getattr(of, n) for n in names if hasattr(of, n)), None) for names in (PLACE, TURN))
-    if p is not None and q is not None:
+    p, q = getattr(of, "position", getattr(of, "translation", of)), getattr(of, "orientation", None)
+    if (q := getattr(of, "rotation", q)) is not None:
         return p.x, p.y, p.z, q.x, q.y, q.z, q.w
     turn = (math.sin(0.5 * of.theta), math.cos(0.5 * of.theta)) if hasattr(of, "theta") else (0.0, 0.0)
-    return of.x, of.y, getattr(of, "z", 0.0), 0.0, 0.0, *turn
-
-
-PLACE, TURN = ("position", "translation"), ("orientation", "rotation")
+    return p.x, p.y, getattr(p, "z", 0.0), 0.0, 0.0, *turn
 
 
 def heading(q: tuple[float, float, float, float] | Array) -> float:

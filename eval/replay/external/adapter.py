@@ -316,6 +316,7 @@ def pose_of(who: str, given: Any) -> PoseEstimate:
     size, off = float(np.abs(np.diag(P)).sum()), float(np.abs(P - P.T).max())
     if off > TOLERANCE * size:
         what = f"two elements differ by {off:.3g} (0.5 * (P + P.T) is, if that is rounding)"
+        what += "; L @ L.T is, if it is a root L" * bool(np.triu(P, 1).any() != np.tril(P, -1).any())
         raise ForeignError(f"{who}: the covariance is not symmetric: {what}")
     least = float(np.linalg.eigvalsh(0.5 * (P + P.T))[0])
     if least < -TOLERANCE * size:

@@ -46,9 +46,14 @@ def lines(check, estimator, task):
     return list(check(text_of(estimator, "estimator"), task))
 
 
-@pytest.mark.parametrize("task", ["localization", "slam"])
-def test_a_students_filter_passes_and_what_was_found_is_said(task):
-    found = lines(estimators.fixes, Fixing, task)
+class FixesAlone(Fixing):
+    def update(self, o, decisions):
+        return super().update(o, np.full(len(decisions), -2))
+
+
+@pytest.mark.parametrize(("task", "kind"), [("localization", Fixing), ("localization", FixesAlone), ("slam", Fixing)])
+def test_a_students_filter_passes_and_what_was_found_is_said(task, kind):
+    found = lines(estimators.fixes, kind, task)
     assert [f.line for f in found if not f.passed] == []
     assert [f.check for f in found] == ["fixes", "fixes, covariance", "fixes, NIS", "fixes, gate"]
     assert "the path with 7 fixes within 0.001 sigma" in found[0].sentence

@@ -1,10 +1,13 @@
 """Wrong estimators, each a right one with one mistake, and what the check should suspect; and sound approximations."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.linalg import block_diag
 
+from data.se2 import compose
 from eval.checks.exactness import Bug
-from slamref import Expectation
+from slamref import Expectation, Samples
 from tests.eval.checks.plain import Plain, wrapped
 
 
@@ -115,6 +118,19 @@ def before(self, o):
     return e
 
 
+class OneDraw(Plain):
+    samples = None
+
+    def predict(self, increment):
+        super().predict(increment)
+        self.samples = compose(self.samples, 1.01 * increment.mean)
+
+    def estimate(self):
+        if self.samples is None:
+            self.samples = np.random.default_rng(0).multivariate_normal(self.x, self.P, 2000)
+        return Samples(self.samples)
+
+
 MUTANTS = {
     "no-R": (mutant(S=lambda s, HPH, R: HPH, gain=lambda s, H, S: s.P @ H.T @ np.linalg.pinv(S), nis=pinned), None),
     "R-doubled": (mutant(R=lambda s, R: 2 * R, R_new=lambda s, R: 2 * R), Bug.R_DOUBLED),
@@ -176,7 +192,12 @@ MUTANTS = {
     "every-second-dropped": (mutant(chosen=lambda s, rows: rows[::2]), Bug.EVERY_SECOND_DROPPED),
     "at-most-three-used": (mutant(chosen=lambda s, rows: rows[:3]), None),
     "body-frame": (mutant(estimate=body), Bug.POSE_IN_BODY_FRAME),
-    "covariance-too-small": (mutant(estimate=lambda s: (s.x[:3].copy(), 0.8 * s.P[:3, :3])), None),
+    "covariance-too-small": (mutant(estimate=lambda s: (s.x[:3].copy(), 0.8 * s.P[:3, :3])), Bug.PRIOR_ELSEWHERE),
+    "prior-of-its-own": (
+        mutant(__init__=lambda s, p, *a: Plain.__init__(s, replace(p, mean=p.mean + 0.3), *a)),
+        Bug.PRIOR_ELSEWHERE,
+    ),
+    "one-draw-for-all": (OneDraw, Bug.ONE_DRAW),
     "joint-uncorrelated": (mutant(said=lambda s, o, n, z, J: said(s, o, n, z, blocks(J))), Bug.JOINT_UNCORRELATED),
     "joint-permuted": (mutant(said=lambda s, o, n, z, J: said(s, o, n, z, permuted(J))), Bug.JOINT_PERMUTED),
     "candidates-permuted": (mutant(said=lambda s, o, n, z, J: said(s, o, n, z, shifted(J))), None),

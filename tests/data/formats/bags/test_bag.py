@@ -11,7 +11,7 @@ import pytest
 
 from data import se2
 from data.convert.__main__ import main
-from data.formats.bags import FLAT_BOXES, TAGS, Detection, detections
+from data.formats.bags import FLAT_BOXES, TAGS, detections
 from data.formats.open_log import load_folder
 from data.log import Log
 from data.pose_measurements import FixKind
@@ -110,7 +110,7 @@ def test_a_truth_without_headings_is_one_of_positions(maker, tmp_path, topic):
     for t in TIMES.tolist():
         maker.bare_pose(t, (2.0, t, 0.0))
         maker.place(t, (2.0, t))
-        maker._send(t, "/vector", "geometry_msgs/msg/Vector3", x=2.0, y=t, z=0.0)
+        maker._send(t, "/vector", "geometry_msgs/msg/Vector3", x=2.0, y=t)
     maker.poses(1.25, [(2.0, 0.5)])
     flags = ("--truth", topic, "--point-sigma", "0.1")
     log = load(maker, tmp_path, *flags, "--prior", "2,0,0", "--prior-sigma", "0.1,0.1,0.1")
@@ -192,7 +192,7 @@ def test_scans_and_detections_share_their_frames(maker, tmp_path):
 def test_without_a_topic_of_odometry_transforms_tell_the_motion_or_poses_that_are_named(tmp_path, flags, way):
     made = Full()
     for t in TIMES.tolist():
-        made._send(t, "/plane", "geometry_msgs/msg/Pose2D", x=2.0 * t, y=0.0, theta=0.0)
+        made._send(t, "/plane", "geometry_msgs/msg/Pose2D", x=2.0 * t)
         made.transform(t, "odom", "base_link", (t, 0.0, 0.0))
     made.mounting("base_link", "camera", 0.0, 0.0, 0.0)
     made.poses(2.0, [(2.0, 0.5)])
@@ -205,9 +205,7 @@ def test_the_list_says_what_each_topic_becomes_and_writes_nothing(maker, tmp_pat
     maker.satellites(1.0, (48.0, 11.0))
     maker.bare_pose(1.0, (0.0, 0.0, 0.0))
     maker.odometry(1.0, (0.0, 0.0, 0.0), "/visual_odom")
-    twist = maker.store.types["geometry_msgs/msg/Twist"]
-    zero = maker._of("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
-    maker.messages.append((1.0, "/cmd_vel", "geometry_msgs/msg/Twist", twist(zero, zero)))
+    maker._send(1.0, "/cmd_vel", "geometry_msgs/msg/Twist")
     bag = maker.save(tmp_path)
     assert main(["bag", str(bag), "--list", "--odom", "/odom"]) == 0
     said = {line.split()[0]: " ".join(line.split()[4:]) for line in capsys.readouterr().out.splitlines()}
@@ -288,33 +286,23 @@ def test_a_bag_of_ros_1_is_read_as_one_of_ros_2(tmp_path):
     assert len(log.recorded.fixes) == 4
 
 
-def header(frame: str, seconds: int = 5) -> Any:
-    return Message(frame_id=frame, stamp=Message(sec=seconds, nanosec=0))
+def tag(*numbers: int) -> Any:
+    pose = Message(pose=Message(position=Message(x=1.0, y=2.0, z=3.0)))
+    return Message(id=numbers, pose=Message(header=Message(frame_id=""), pose=pose))
 
 
-def point(x: float, y: float, z: float = 0.0) -> Any:
-    return Message(x=x, y=y, z=z)
+def box(centre: Any) -> Any:
+    return Message(header=Message(frame_id=""), bbox=Message(center=centre), id="8")
 
 
-def found(kind: str, message: Any) -> list[Detection]:
-    return list(detections(kind, message, 9.0))
-
-
-def test_a_bundle_of_tags_has_no_number_of_its_own():
-    def tag(numbers: list[int]) -> Any:
-        pose = Message(header=header(""), pose=Message(pose=Message(position=point(1.0, 2.0, 3.0))))
-        return Message(id=numbers, pose=pose)
-
-    message = Message(header=header("/camera"), detections=[tag([4]), tag([5, 6])])
-    assert found(TAGS, message) == [
-        Detection(5.0, "camera", 4, (1.0, 2.0, 3.0)),
-        Detection(5.0, "camera", -1, (1.0, 2.0, 3.0)),
-    ]
-
-
-@pytest.mark.parametrize("centre", [Message(x=3.0, y=4.0), Message(position=Message(x=3.0, y=4.0))])
-def test_boxes_in_an_image_are_pixels_in_either_version(centre):
-    box = Message(header=header(""), bbox=Message(center=centre), id="8")
-    (seen,) = found(FLAT_BOXES, Message(header=header("optical"), detections=[box]))
-    assert (seen.stamp, seen.frame, seen.id, seen.at[:2]) == (5.0, "optical", 8, (3.0, 4.0))
-    assert math.isnan(seen.at[2])
+@pytest.mark.parametrize(("kind", "one", "number", "at"), [
+    (TAGS, tag(4), 4, (1.0, 2.0, 3.0)),
+    (TAGS, tag(5, 6), -1, (1.0, 2.0, 3.0)),  # a bundle has no number of its own
+    (FLAT_BOXES, box(Message(x=3.0, y=4.0)), 8, (3.0, 4.0, math.nan)),
+    (FLAT_BOXES, box(Message(position=Message(x=3.0, y=4.0))), 8, (3.0, 4.0, math.nan)),
+])  # fmt: skip
+def test_tags_and_boxes_of_either_version(kind, one, number, at):
+    header = Message(frame_id="/camera", stamp=Message(sec=5, nanosec=0))
+    (seen,) = detections(kind, Message(header=header, detections=[one]), 9.0)
+    assert seen[:3] == (5.0, "camera", number)
+    assert seen.at == pytest.approx(at, nan_ok=True)

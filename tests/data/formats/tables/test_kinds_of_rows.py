@@ -83,21 +83,18 @@ def test_scans_of_a_table_are_those_of_a_laser_log(read, named):
 
 
 @pytest.mark.parametrize(("names", "numbers"), [
-    ("min_angle,laserAngleMax,max_range [cm]", f"{-np.pi},{np.pi - STEP},2000"),
-    ("scan.angle_start,angular_resolution,range_max", "-180,10,20"),
-    ("angle_min_deg,angle_inc_deg,rangeMax", "-180,10,20"),
+    (("min_angle", "laserAngleMax", "max_range [cm]"), (-np.pi, np.pi - STEP, 2000)),
+    (("scan.angle_start", "angular_resolution", "range_max"), (-180, 10, 20)),
+    (("angle_min_deg", "angle_inc_deg", "rangeMax"), (-180, 10, 20)),
 ])  # fmt: skip
-def test_names_and_degrees_of_a_scanner(read, names, numbers):
-    head, *rows = (line.split(",", 6) for line in scans(named=True).splitlines())
-    text = "\n".join([f"t,{names},{head[6]}", *(f"{row[0]},{numbers},{row[6]}" for row in rows)])
-    log, said = read({"odo.csv": ODOMETRY, "scan.csv": text}, "--scans", "scan.csv", "--unit", "scans.t=ns")
+def test_names_units_and_keys_of_a_scanner(read, names, numbers):
+    keys = dict(zip(names, numbers)) | {"t": [1.7e9 + k / 2 for k in range(9)]}
+    keys["ranges"] = (1.0 + np.arange(9)[:, None] / 20 + np.arange(BEAMS) / 9).tolist()
+    log, said = read({"odo.csv": ODOMETRY, "scan.json": json.dumps(keys)}, "--scans", "scan.json")
     scanner = log.recorded.scans.scanner
+    assert log.recorded.scans.ranges.shape == (9, BEAMS)
     assert (scanner.angle_min, scanner.angle_step, scanner.max_range) == pytest.approx((-np.pi, STEP, 20.0))
-    assert ("inferred: angles of beams in deg" in said) == ("start" in names)
-    keys = {"angle_min": -1, "angle_increment": 2, "range_max": 20}  # once for all scans
-    keys |= {"t": [1.7e9 + k for k in range(9)], "ranges": [[5, 6]] * 9}
-    log, _ = read({"odo.csv": ODOMETRY, "scan.json": json.dumps(keys)}, "--scans", "scan.json")
-    assert log.recorded.scans.ranges.tolist() == keys["ranges"]
+    assert ("inferred: angles of beams in deg" in said) == ("scan.angle_start" in names)
 
 
 def test_scans_without_names_alone_or_behind_row_numbers_or_stamps_are_known(read, unread):

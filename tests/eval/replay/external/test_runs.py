@@ -147,7 +147,7 @@ NEW = DECISIONS == -1
     (np.zeros(4), r"the mean has shape \(4,\); \(3,\) is needed"),
     (np.array([0.0, np.nan, 0.0]), "the mean is not finite"),
     ((np.zeros(3), np.eye(2)), r"the covariance has shape \(2, 2\); \(3, 3\)"),
-    ((np.zeros(3), np.triu(np.ones((3, 3)))), "not symmetric: two elements differ by 1"),
+    ((np.zeros(3), np.triu(np.ones((3, 3)))), r"not symmetric: two elements differ by 1.*; L @ L\.T is"),
     ((np.zeros(3), np.diag([1.0, 1.0, -0.5])), "not positive semidefinite: an eigenvalue is -0.5"),
     ("here", "the mean is 'here'; an array"),
 ])  # fmt: skip

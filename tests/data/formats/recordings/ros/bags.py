@@ -11,6 +11,7 @@ import pytest
 from data.se2 import Array
 
 rosbags = pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'slamref[ros]'")
+from rosbags.interfaces import Nodetype  # noqa: E402
 from rosbags.rosbag1 import Writer as Writer1  # noqa: E402
 from rosbags.rosbag2 import StoragePlugin, Writer as Writer2  # noqa: E402
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
@@ -31,13 +32,29 @@ class Maker:
     def _of(self, kind: str, *values: Any, **named: Any) -> Any:
         return self.store.types[kind](*values, **named)
 
+    def _zero(self, kind: str, **given: Any) -> Any:
+        """A message of zeros, but for what is given."""
+
+        def blank(node: Any, inside: Any) -> Any:
+            if node == Nodetype.NAME:
+                return self._zero(inside)
+            if node == Nodetype.BASE:
+                return "" if inside[0] == "string" else 0
+            of, count = inside[0], inside[1] if node == Nodetype.ARRAY else 0
+            return np.zeros(count, of[1][0]) if of[0] == Nodetype.BASE and of[1][0] != "string" else []
+
+        fields = self.store.fielddefs[kind][1]
+        return self._of(kind, **{n: given[n] if n in given else blank(*inside) for n, inside in fields})
+
     def _header(self, frame: str, stamp: float | None) -> Any:
         """`stamp`: s after `START`; None: never set."""
         whole = 0 if stamp is None else START + math.floor(stamp)
         part = 0 if stamp is None else round((stamp - math.floor(stamp)) * 1e9)
         time = self._of("builtin_interfaces/msg/Time", whole, part)
-        seq = {"seq": 0} if self.old else {}
-        return self._of("std_msgs/msg/Header", stamp=time, frame_id=frame, **seq)
+        return self._zero("std_msgs/msg/Header", stamp=time, frame_id=frame)
+
+    def _point(self, x: float, y: float, z: float = 0.0, kind: str = "Point") -> Any:
+        return self._of(f"geometry_msgs/msg/{kind}", float(x), float(y), float(z))
 
     def _turn(self, yaw: float, *, upside_down: bool = False) -> Any:
         c, s = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
@@ -47,46 +64,37 @@ class Maker:
         self, at: float, ranges: Sequence[float], topic: str = "/scan", *, stamped: bool = True, **changed: float
     ) -> None:
         geometry = {"angle_min": -0.5, "angle_max": 0.5, "angle_increment": 0.5, "range_min": 0.25, "range_max": 8.0}
-        geometry |= {"time_increment": 0.0, "scan_time": 0.1} | changed
-        header = self._header("laser", at if stamped else None)
-        values = {"ranges": np.array(ranges, np.float32), "intensities": np.zeros(0, np.float32)}
-        self.messages.append((at, topic, SCAN, self._of(SCAN, header=header, **geometry, **values)))
+        header, ranges = self._header("laser", at if stamped else None), np.array(ranges, np.float32)
+        self.messages.append((at, topic, SCAN, self._zero(SCAN, header=header, ranges=ranges, **geometry | changed)))
 
     def odometry(
         self, at: float, pose: Iterable[float], topic: str = "/odom", twist: float = 0.0, body: str = "base_link"
     ) -> None:
         """`twist`: variance of the velocity along; half of it across, a tenth of the turn."""
         x, y, yaw = pose
-        vector = self._of("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
-        point = self._of("geometry_msgs/msg/Point", float(x), float(y), 0.0)
-        place = self._of("geometry_msgs/msg/Pose", point, self._turn(yaw))
-        covariance = np.zeros(36)
-        message = self._of(
-            ODOMETRY,
-            header=self._header("odom", at),
-            child_frame_id=body,
-            pose=self._of("geometry_msgs/msg/PoseWithCovariance", place, covariance),
-            twist=self._of(
-                "geometry_msgs/msg/TwistWithCovariance",
-                self._of("geometry_msgs/msg/Twist", vector, vector),
-                np.diag(twist * np.array([1.0, 0.5, 9.0, 9.0, 9.0, 0.1])).ravel(),
-            ),
-        )
+        place = self._zero("geometry_msgs/msg/Pose", position=self._point(x, y), orientation=self._turn(yaw))
+        covariance = np.diag(twist * np.array([1.0, 0.5, 9.0, 9.0, 9.0, 0.1])).ravel()
+        pose, moved = (f"geometry_msgs/msg/{name}WithCovariance" for name in ("Pose", "Twist"))
+        message = self._zero(
+            ODOMETRY, header=self._header("odom", at), child_frame_id=body, pose=self._zero(pose, pose=place),
+            twist=self._zero(moved, covariance=covariance),
+        )  # fmt: skip
         self.messages.append((at, topic, ODOMETRY, message))
 
     def mounting(self, parent: str, child: str, x: float, y: float, yaw: float, *, upside_down: bool = False) -> None:
-        moved = self._of("geometry_msgs/msg/Vector3", float(x), float(y), 0.5)
-        transform = self._of("geometry_msgs/msg/Transform", moved, self._turn(yaw, upside_down=upside_down))
-        stamped = self._of("geometry_msgs/msg/TransformStamped", self._header(parent, 0.0), child, transform)
-        self.messages.append((-1.0, "/tf_static", TF, self._of(TF, [stamped])))
+        self._moved(-1.0, "/tf_static", 0.0, parent, child, (x, y, 0.5), self._turn(yaw, upside_down=upside_down))
 
     def transform(self, at: float, parent: str, child: str, pose: Iterable[float]) -> None:
         """One that changes: the pose of a frame in its parent at a time."""
         x, y, yaw = pose
-        moved = self._of("geometry_msgs/msg/Vector3", float(x), float(y), 0.0)
-        transform = self._of("geometry_msgs/msg/Transform", moved, self._turn(yaw))
-        stamped = self._of("geometry_msgs/msg/TransformStamped", self._header(parent, at), child, transform)
-        self.messages.append((at, "/tf", TF, self._of(TF, [stamped])))
+        self._moved(at, "/tf", at, parent, child, (x, y, 0.0), self._turn(yaw))
+
+    def _moved(
+        self, at: float, topic: str, stamp: float, parent: str, child: str, place: Sequence[float], turn: Any
+    ) -> None:
+        moved = self._of("geometry_msgs/msg/Transform", self._point(*place, kind="Vector3"), turn)
+        stamped = self._of("geometry_msgs/msg/TransformStamped", self._header(parent, stamp), child, moved)
+        self.messages.append((at, topic, TF, self._of(TF, [stamped])))
 
     def drive(self, times: Array) -> None:
         for t in times.tolist():
