@@ -315,3 +315,30 @@ def test_rows_of_a_rotation_matrix_are_no_place_and_quaternion(tmp_path, refused
     rows = [(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0, k, 0.1 * k, 0.0, c, s, 0.0) for k, (c, s) in enumerate(turns)]
     (tmp_path / "a.csv").write_text("".join(",".join(map(str, row)) + "\n" for row in rows))
     assert "no known trajectory format" in refused(score, [str(tmp_path / "a.csv")] * 2)
+
+
+def lines_of(*columns, separator=" "):
+    return "\n".join(separator.join(map(str, row)) for row in np.column_stack(columns).tolist())
+
+
+PLANE = np.column_stack([np.sin(0.5 * TURN), np.cos(0.5 * TURN)])
+POSES = {
+    "m00 to m33": lambda M: "t," + ",".join(f"m{i}{j}" for i in range(4) for j in range(4)) + "\n"
+    + lines_of(T, M.reshape(-1, 16), separator=","),
+    "rotation, position": lambda M: lines_of(T, M[:, :3, :3].reshape(-1, 9), M[:, :3, 3]),
+    "by columns": lambda M: lines_of(T, np.swapaxes(M, 1, 2).reshape(-1, 16)),
+    "Open3D": lambda M: "\n".join(f"{k} {k} {k + 1}\n{lines_of(m)}" for k, m in enumerate(M)),
+    "three rows": lambda M: "\n\n".join(lines_of(m[:3]) for m in M),
+    "lists, w first": lambda M: "t,position,rotation\n" + "\n".join(
+        f'{t},"{p.tolist()}",{[w, 0, 0, z]}' for t, p, (z, w) in zip(T, M[:, :3, 3], PLANE.tolist(), strict=True)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", POSES)
+def test_matrices_lists_and_a_single_topic_are_poses(scored, form):
+    M = np.tile(np.eye(4), (2, len(T), 1, 1))
+    M[..., :3, :3] = exp_rotation(TRUE[:, 2:] * [0.0, 0.0, 1.0])
+    M[..., :2, 3], M[..., 2, 3] = [MINE[:, :2], TRUE[:, :2]], 0.01 * T
+    values = scored(*map(POSES[form], M))
+    assert values["rmse_position_3d_m"] == pytest.approx(0.1)
+    assert values["rmse_rotation_3d_deg"] == pytest.approx(0.0, abs=1e-5)

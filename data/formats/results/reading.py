@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +16,11 @@ from data.csv_table import ends_early, is_number, symmetric
 from data.dates import EXAMPLE, IN_SECONDS, ISO, is_date, seconds_of, unit_of
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean
-from data.formats.arrays import is_arrays
 from data.formats.messages import file_and_word, whole_names
 from data.formats.results import lines
 from data.formats.results import path as paths
 from data.formats.results.bags import file_and_topic, is_bag, read_bag
-from data.formats.results.lines import BLOCKS, ENTRIES, EUROC, POSE, TRIANGLE, UNSTAMPED, Text
+from data.formats.results.lines import BLOCKS, ENTRIES_6, EUROC, POSE, TRIANGLE, UNSTAMPED, Text
 from data.formats.results.path import ABSENT, DATES, DIGITS, LOCAL, MIXED, WORLD, GivenPath, Manner, Stated
 from data.formats.results.space import UNIT, full, known_only, require_covariances
 from data.questions.examination import in_degrees
@@ -63,7 +62,9 @@ KNOWN_UNITS = {*DIGITS, *LENGTH, *TURNS}
 GROUPS = {"p": ("x", "y", "z"), "q": ("qx", "qy", "qz", "qw"), "v": ("vx", "vy", "vz")}
 """Names of several columns each, as in `# timestamp(s) q p v bg ba` of OpenVINS' states."""
 SHOWN = 6  # Most names in a note
-WELL_KNOWN: dict[tuple[str, ...], str] = {POSE: "TUM", ("t", "x", "y", "z", "qw", "qx", "qy", "qz"): "EuRoC CSV"}
+WELL_KNOWN: dict[tuple[str, ...], str] = {POSE: "TUM", EUROC: "EuRoC CSV", (*POSE, *BLOCKS): "OpenVINS"}
+WELL_KNOWN |= {(*POSE, *entries): "TUM with covariance" for entries in (TRIANGLE, ENTRIES_6)}
+MESSAGE, UPPER = tuple(f"f{k}" for k in range(36)), tuple(f"c{c[2]}{c[1]}" for c in TRIANGLE)
 PLANE = ("t", "x", "y", "theta")  # Columns of our own files, with `COVARIANCE`
 NANOSECONDS_FROM = 1e14  # Smallest stamp that is taken for ns: a day of them, or three million years of seconds
 
@@ -417,29 +418,29 @@ def _spatial(
     pose = np.column_stack([value["t"], value["x"], value["y"], value.get("z", zero), q])
     C: Array | None = None
     frame, stated = LOCAL, Stated()
-    if all(b in value for b in BLOCKS):
-        C = lines.of_blocks(*(np.column_stack([value[b] for b in half]) for half in (BLOCKS[:6], BLOCKS[6:])))
-        frame, stated = MIXED, Stated(convention=True, order=True)
-    elif all(f"f{k}" in value for k in range(36)):
-        C, more = full(np.column_stack([value[f"f{k}"] for k in range(36)]), body.place)
-        frame, stated, notes = WORLD, Stated(order=True), notes + more
-    elif all(c in value for c in TRIANGLE):
-        C = symmetric(np.column_stack([value[c] for c in TRIANGLE]), lower=True)
-    elif all(f"{c[0]}{c[2]}{c[1]}" in value for c in TRIANGLE):
-        C = symmetric(np.column_stack([value[f"{c[0]}{c[2]}{c[1]}"] for c in TRIANGLE]), lower=True)
+    known = next((names for names in (BLOCKS, MESSAGE, ENTRIES_6, TRIANGLE, UPPER) if {*names} <= {*value}), ())
+    entries = np.column_stack([value[name] for name in known or POSE[1:3]])
+    if known == BLOCKS:
+        C, frame, stated = lines.of_blocks(entries[:, :6], entries[:, 6:]), MIXED, Stated(convention=True, order=True)
+    elif known in (MESSAGE, ENTRIES_6):
+        C, more = full(entries, body.place)
+        frame, stated = (WORLD, Stated(order=True)) if known == MESSAGE else (frame, stated)
+        notes += more
+    elif known:
+        C = symmetric(entries, lower=True)
     elif set(COVARIANCE) <= {*value}:
         C, frame, stated = np.full((len(pose), 6, 6), np.nan), WORLD, Stated(order=True)
         turn = TURNS[columns.unit.get("yaw") or manner.angles or "rad"] if "qw" not in value else 1.0
         entries = np.column_stack([value[c] * turn ** c.count("t") for c in COVARIANCE])
         C[:, [[0], [1], [5]], [0, 1, 5]] = symmetric(entries)
         C[:, 2, 2] = value.get("c_zz", C[:, 2, 2])
-    kind = WELL_KNOWN.get(columns.order[:8], f"columns {', '.join(columns.order[:8])}")
+    kind = WELL_KNOWN.get(columns.order, WELL_KNOWN.get(columns.order[:8], f"columns {', '.join(columns.order[:8])}"))
     time, clock = lines.times_of(body, value["t"], manner, unit=unit, column=columns.place.get("t", UNSTAMPED))
     path = lines.path_of(body, kind, (time, clock), pose, C, manner, frame=frame, stated=stated, notes=notes)
     if "qw" in value or "yaw" in columns.unit or manner.angles is not None:
         return path
-    known = np.flatnonzero(np.isfinite(pose).all(axis=1))
-    rows_kept = known[np.searchsorted(time[known], path.time, side="right") - 1]
+    finite = np.flatnonzero(np.isfinite(pose).all(axis=1))
+    rows_kept = finite[np.searchsorted(time[finite], path.time, side="right") - 1]
     return replace(path, headings=value["yaw"][rows_kept])
 
 
@@ -488,23 +489,12 @@ def _planar(
 
 def is_euroc(text: Text) -> bool:
     """Whether all lines are as many numbers, with commas: a stamp in ns, a position, and a quaternion of length 1."""
-    if not text.commas or not all(is_number(f) for fields in text.fields for f in fields[: len(EUROC)]):
+    each = [fields[: len(EUROC)] for fields in text.fields]
+    if not text.commas or len({*map(len, text.fields)}) > 1 or not all(map(is_number, chain(*each))):
         return False
-    if len(text.fields[0]) < len(EUROC) or len(set(map(len, text.fields))) > 1:
-        return False
-    rows = np.array([fields[: len(EUROC)] for fields in text.fields], float)
-    off = np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1)
-    return bool((rows[:, 0] > NANOSECONDS_FROM).all() and (off < UNIT).all())
-
-
-def are_matrices(text: Text, before: int) -> bool:
-    """Whether most lines are some numbers `before` the upper three rows of a 4x4 pose, and all as many numbers."""
-    if {len(fields) for fields in text.fields} != {before + len(ENTRIES)}:
-        return False
-    if not all(is_number(f) for fields in text.fields for f in fields):
-        return False
-    R = np.array(text.fields, float)[:, before:].reshape(-1, 3, 4)[:, :, :3]
-    return bool(np.median(np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))) < UNIT)
+    rows = np.array(each, float)
+    unit = rows.shape[1] == len(EUROC) and np.allclose(np.linalg.norm(rows[:, 4:], axis=1), 1.0, rtol=0.0, atol=UNIT)
+    return bool(unit and (rows[:, 0] > NANOSECONDS_FROM).all())
 
 
 PLAIN = Manner()
@@ -512,9 +502,8 @@ ACCEPTED = (
     "a CSV with the columns t,x,y,theta, TUM (8 columns), TUM with covariance (29 or 44), SQUARE, OpenVINS (20), EuRoC "
     "(commas, ns), KITTI poses (12, with stamps 13), columns named in a header, or a ROS bag"
 )
-WIDTHS: dict[int, Callable[[Text, Manner], GivenPath]] = {
-    8: lines.read_tum, 29: lines.read_wide, 44: lines.read_wide, 20: lines.read_openvins, 12: lines.read_kitti,
-}  # fmt: skip
+WIDTHS = {len(roles): roles for roles in WELL_KNOWN if len(roles) > len(POSE)}  # Columns without names
+WITHOUT_NAMES = {8: lines.read_tum, 12: lines.read_kitti}
 
 
 def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
@@ -530,7 +519,8 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
     elif path.is_dir():
         raise DataError.at(path, "a folder; a result is a file, or the folder of a run with online.csv or final.csv")
     else:
-        text = _without_words(_matrices(lines.read_text(path), manner), manner)
+        text = lines.in_rows(lines.read_text(path), named=bool(manner.columns))
+        text = _without_words(text if manner.columns.keys() - {"t"} else lines.in_names(text), manner)
         read = _reader(text, manner)
         found, cov = read(text, manner), read is lines.read_tum
         found = replace(found, notes=(*found.notes, text.cut)) if text.cut else found
@@ -549,34 +539,12 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
     return found
 
 
-def _matrices(text: Text, manner: Manner) -> Text:
-    """The text with the upper three rows of poses that are 4 x 4 numbers, in one row or in four, behind a stamp or not;
-    of arrays with one matrix, whose columns have no names of their own, without names.
-    """
-    named = [n.rpartition("_") for n in text.fields[0]] if is_arrays(text.path) else []
-    if not manner.columns and len({stem for stem, _, number in named if number.isdecimal()} - {""}) == 1:
-        text = replace(text, fields=text.fields[1:], line=text.line[1:], commas=False)
-    if not all(len(row) == len(text.fields[0]) and is_number(row[-1]) for row in text.fields):
-        return text
-    last = [tuple(map(float, row[-4:])) if all(map(is_number, row[-4:])) else () for row in text.fields]
-    width, rows = len(text.fields[0]), len(last)
-    if width in (16, 17) and set(last) == {LAST_ROW}:
-        return replace(text, fields=tuple(row[:-4] for row in text.fields), commas=False)
-    if width == 4 and rows % 4 == 0 and set(last[3::4]) == {LAST_ROW}:
-        joined = tuple(sum(text.fields[k : k + 3], ()) for k in range(0, rows, 4))
-        return replace(text, fields=joined, line=text.line[::4], commas=False)
-    return replace(text, commas=False) if width in (12, 13) and are_matrices(text, width - 12) else text
-
-
-LAST_ROW = (0.0, 0.0, 0.0, 1.0)  # of a pose of 4 x 4 numbers
-
-
 def _without_words(text: Text, manner: Manner) -> Text:
     """The text without a word before each pose of KITTI or TUM, which is said; any other as it is."""
     body, words = replace(text, fields=tuple(row[1:] for row in text.fields)), {row[0] for row in text.fields}
-    if manner.columns or len(body.fields[0]) not in WIDTHS or any(map(is_number, words)):
+    if manner.columns or len(body.fields[0]) not in WITHOUT_NAMES or any(map(is_number, words)):
         return text
-    turned = are_matrices(body, 0) or tuple(only_reading(body.fields)) == POSE
+    turned = lines.layout_of(body.fields) or tuple(only_reading(body.fields)) == POSE
     if not turned or header_names(text, manner) is not None:
         return text
     said = f"a word before each pose is left out ({', '.join(sorted(words))[:60]}); FILE:WORD reads those of one"
@@ -592,12 +560,14 @@ def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:
         plain = columns.order == POSE and columns.named == len(POSE) and not text.commas
         if not plain or len(first) not in (8, 29, 44):
             return partial(read_named, columns=columns)
-    if are_matrices(text, 1):
+    if lines.layout_of([fields[1:] for fields in text.fields]):
         return lines.read_kitti
-    if is_euroc(text):
-        return lines.read_euroc
-    known = WIDTHS.get(len(first)) if not text.commas and is_number(first[0]) else None
-    stated = {} if known not in (None, lines.read_kitti) or are_matrices(text, 0) else only_reading(text.fields)
+    bare = not text.commas and is_number(first[0])
+    if roles := EUROC if is_euroc(text) else WIDTHS.get(len(first), ()) if bare else ():
+        of = Columns({role: k for k, role in enumerate(roles)}, {}, (), len(roles), 0, in_data=False)
+        return partial(read_named, columns=of)
+    known = WITHOUT_NAMES.get(len(first)) if bare else None
+    stated = {} if known not in (None, lines.read_kitti) or lines.layout_of(text.fields) else only_reading(text.fields)
     if stated and (columns := header_names(text, replace(manner, columns=stated))) is not None:
         return partial(read_named, columns=replace(columns, told=",".join(f"{q}={n}" for q, n in stated.items())))
     if known is not None:
@@ -674,9 +644,8 @@ def _on_earth(fields: Sequence[Sequence[str]], rows: Array) -> tuple[str, ...]:
 
 def _turned(rows: Array) -> tuple[str, ...]:
     """Roles of columns of a place and a unit quaternion, with or without a stamp, maybe with more behind; else none."""
-    R = rows[:, :9].reshape(-1, 3, 3) if len(rows.T) >= len(ENTRIES) else np.zeros((1, 3, 3))
-    if np.allclose(R @ R.transpose(0, 2, 1), np.eye(3), atol=UNIT):
-        return ()  # a rotation matrix before a position
+    if lines.layout_of([[*map(str, row[:12])] for row in rows.tolist()]):
+        return ()
     stamps = len(rows) > 1 and bool((np.diff(rows[:, 0]) > 0.0).all())
     found = []
     for roles in (POSE, (*POSE[:3], *POSE[4:])) if stamps else (POSE[1:],):
