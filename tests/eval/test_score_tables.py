@@ -92,6 +92,13 @@ def test_an_estimate_and_its_truth_in_one_row(scored, own, true):
     assert "no poses; compose them" in scored(text, f"image_next,{text}", wrong=True)
 
 
+@pytest.mark.parametrize("sides", ["Predicted Actual measured", "real desired", "vo ground_truth noisy"])
+def test_words_tell_the_truer_of_two_paths(scored, sides):
+    each = zip(sides.split(), (MINE, TRUE, 0 * TRUE), strict=False)
+    text = table({"t": T} | {f"{axis} {word}": pose[:, k] for word, pose in each for k, axis in enumerate("XY")})
+    assert scored(text)["rmse_position_m"] == pytest.approx(0.1)
+
+
 def test_two_estimates_beside_a_truth_are_to_be_chosen(scored):
     columns = dict(zip(("x_ekf", "x_odom", "y_ekf", "x_gt", "y_gt"), (*MINE.T[[0, 1, 1]], *TRUE.T[:2]), strict=True))
     text = table(columns)
@@ -104,6 +111,10 @@ def test_two_estimates_beside_a_truth_are_to_be_chosen(scored):
 
 def test_one_file_without_a_truth_is_refused(scored):
     assert "1 file without --truth" in scored(table(WHOLE), wrong=True)
+    columns = dict(zip(("x_raw", "y_raw", "x_filtered", "y_filtered"), (*TRUE.T[:2], *MINE.T[:2]), strict=True))
+    flags = "--columns truth.x=1,truth.y=2,estimate.x=3,estimate.y=4"
+    assert flags in scored(table(columns), wrong=True)
+    assert scored(table(columns), flags=flags.split())["rmse_position_m"] == pytest.approx(0.1)
 
 
 def test_of_stamps_those_count_that_tell_rows_apart(scored):

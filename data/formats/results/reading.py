@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from itertools import chain, pairwise
+from itertools import chain, pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -120,7 +120,8 @@ def header_names(text: Text, manner: Manner) -> Columns | None:
 
 def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, in_data: bool) -> Columns:
     """The column of each role: the stated one, else by its name; of an estimate and a truth in one row those of one."""
-    read, place, earth = [*map(cache(role_of), names)], {}, {"lat", "lon"}  # most names of a wide row are blank
+    sides = _sided(names) if manner.rows else names
+    read, place, earth = [*map(cache(role_of), sides)], {}, {"lat", "lon"}  # most names of a wide row are blank
     for role, name in manner.columns.items():
         number = int(name) - 1 if name.isdecimal() else -1
         if name not in names and not 0 <= number < len(names):
@@ -136,8 +137,8 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
     for j, (role, _) in enumerate(read):
         if role and role not in place and j not in place.values():
             found.setdefault(role, []).append(j)
-    of_name = {name: set(words_of(name)[0]) for name in {*names}}
-    words = [of_name[name] for name in names]
+    of_name = {name: set(words_of(name)[0]) for name in {*sides}}
+    words = [of_name[name] for name in sides]
     truly = TRUE | REFERENCE if any(each & ESTIMATED for each in words) else TRUE
     true = [bool(truly & each) for each in words]
     both = any(len({true[j] for j in some}) > 1 for role, some in found.items() if role != "t")
@@ -157,7 +158,8 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
             some = [j for j in some if len({f[j] for f in text.fields[1:] if j < len(f)}) > 1] or some
             some = [j for j in some if "stamp" in names[j].lower()][-1:] or some[:1]
         if role != "t" and manner.rows and "x" in manner.columns:  # nor of another path of the table
-            some = [j for j in some if not words[j] - AXES or words[j] - AXES == words[place["x"]] - AXES]
+            own = [{*words_of(name)[0]} - AXES for name in names]
+            some = [j for j in some if not own[j] or own[j] == own[place["x"]]]
         if role == "z" and manner.true and manner.rows and "x" in manner.columns:  # not of the estimate beside it
             some = [j for j in some if names[j].lower() == "z".join(names[place["x"]].lower().rsplit("x", 1))]
         unclear |= {role: some} if len(some) > 1 else {}
@@ -165,10 +167,11 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
     if unclear:
         role, some = next(iter(unclear.items()))
         what = f"{names[some[0]]!r} and {names[some[1]]!r} both name {role}; one of them is needed"
-        typed = ",".join(f"{'truth.' * manner.true}{r}={s[0] + 1}" for r, s in unclear.items())
+        of = (("truth.", 0), ("estimate.", -1)) if manner.rows and not both else (("truth." * manner.true, 0),)
+        typed = ",".join(f"{who}{r}={s[k] + 1}" for who, k in of for r, s in unclear.items())
         raise DataError.at(text.path, f"{what}, as in --columns {typed.replace('yaw', 'theta')}", line=line or None)
     beside_of = {name: some & SIDES for name, some in of_name.items()}
-    side, k = [beside_of[name] for name in names], place.get("x", place.get("lat", -1))
+    side, k = [beside_of[name] for name in sides], place.get("x", place.get("lat", -1))
     beside = [j for j, (role, _) in enumerate(read) if role == "x" and j != k]
     if not manner.true:  # odometry has none of its own
         beside = [j for j in beside if side[k] and not true[j] and side[j] != {"odom"}]
@@ -181,7 +184,31 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
     if "nanoseconds" in place and "t" not in place:
         place["t"], unit["t"] = place.pop("nanoseconds"), "ns"
     covariances = (*(names[place[role]] for role in spread if role in place),)
-    return Columns(place, unit, unread, len(names), line, in_data, "", covariances)
+    told = f"{'truth' if manner.true else 'estimate'}.{'x' if 'x' in place else 'lat'}={names[k]}"
+    return Columns(place, unit, unread, len(names), line, in_data, told * (manner.rows and both), covariances)
+
+
+def _sided(names: Sequence[str]) -> list[str]:
+    """Names of a table of two paths, with `gt` for words that tell the truer one, and `est` for other such words."""
+    apart, found = [re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[a-z]) ", "_", name) for name in names], list[str]()
+    for known, true in product((1, 2, len(OTHERS)), TRUER):  # words that nobody needs are not known
+        rest = WORD.format("|".join({*" ".join(OTHERS[:known]).split()}.difference(true.split())))
+        found = [re.sub(WORD.format(true.replace(" ", "|")), "gt", re.sub(rest, "est", name)) for name in apart]
+        if len({"gt" in words_of(name)[0] for name in found if role_of(name)[0] in ("x", "lat")}) > 1:
+            break
+    return found
+
+
+WORD = "(?i)(?<![a-z])({})(?![a-z])"
+TRUER = (
+    "gt true truth groundtruth ground_truth mocap vicon optitrack", "ref reference desired target expected",
+    "actual real reality", "sim simulated",
+)  # fmt: skip
+OTHERS = (
+    "est", "pred predict predicted prediction filter filtered kalman fused corrected estimation vo vio mean mu",
+    "robot output meas measured noisy raw odometry", *TRUER,
+)  # fmt: skip
+"""Words of the true path in a row with another, the first of these that the row has; and those of the other one."""
 
 
 def topic_of(name: str) -> str:
@@ -669,7 +696,10 @@ def holds_both(name: str) -> bool:
     if is_bag(file_and_topic(name)[0]) or not file_and_word(Path(name))[0].is_file():
         return False
     try:
-        found = [header_names(lines.read_text(Path(name)), Manner(true=side)) for side in (False, True)]
+        found = [
+            header_names(lines.in_names(lines.read_text(Path(name))), Manner(true=side, rows=True))
+            for side in (False, True)
+        ]
     except DataError:  # of several that name a position, which reading it will say
         return True
     x, true = (None if columns is None else columns.place.get("lat", columns.place.get("x")) for columns in found)
