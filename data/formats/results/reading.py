@@ -128,7 +128,9 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
             what = f"no column {name!r}{did_you_mean(name, names)}; it has {', '.join(names)[:200]}"
             raise DataError.at(text.path, what, line=line or None)
         place[role] = names.index(name) if name in names else number
-    if len(several := topics_in(names)) > 1 and "x" in place and (topic := topic_of(names[place["x"]])):
+    several = topics_in(names)
+    topic = topic_of(names[place["x"]]) if "x" in place else several[0] if len(several) == 1 else ""
+    if topic and (len(several) > 1 or topic.startswith("/")):
         read = _roles(names, topic)
     found: dict[str, list[int]] = {}
     there = {role for role, _ in read} | {*place}
@@ -306,6 +308,8 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     if ours:
         _require_ours(text, columns, manner)
     quaternion = [q for q in POSE[4:] if q in place]
+    if flat := quaternion == ["qz", "qw"]:
+        quaternion, columns = [], replace(columns, unit=columns.unit | {"yaw": "rad"})
     for role in (*(("lat", "lon") if "lat" in place else ("x", "y")), *(POSE[4:] if quaternion else ())):
         if role not in place:
             what = f"no column {role} is named: {', '.join(columns.order) or 'none'} are known"
@@ -315,7 +319,9 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
             raise DataError.at(text.path, what, line=columns.line or None)
     dated = _in_seconds(body, place["t"]) if "t" in place else body
     value = {"t": np.arange(len(body.fields), dtype=float)} | _values(dated, columns)
-    absent = not quaternion and "yaw" not in place
+    if flat:
+        value["yaw"] = 2.0 * np.arctan2(value.pop("qz"), value.pop("qw"))
+    absent = not quaternion and "yaw" not in value
     asked = absent and not manner.columns.keys() & {"x", "lat"}
     if asked and (turned := [n for n in columns.unread if re.search(r"(?i)q\d|quat|rot|orient", n)]):
         what = f"no orientation is named ({', '.join(turned)} are unknown); qx, qy, qz, qw or yaw is needed"
@@ -607,7 +613,8 @@ def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:
     raise DataError.at(text.path, what, line=text.line[odd])
 
 
-GUESSED = {2: (("x", "y"),), 3: (("x", "y", "yaw"), ("t", "x", "y")), 4: (("t", "x", "y", "yaw"),)}
+PLANAR, SPACE = ("t", "x", "y", "yaw"), ("t", "x", "y", "z", "roll", "pitch", "yaw")
+GUESSED: tuple[tuple[str, ...], ...] = (("x", "y"), ("x", "y", "yaw"), ("t", "x", "y"), PLANAR, SPACE[1:], SPACE)
 """What columns without names may be, by their number."""
 ALONG = 0.7  # Least mean cosine between headings and the direction of motion
 HALF, ROUNDED = 0.5, 1e-9  # Least share of a path's turns that headings follow; share of its length that is rounding
@@ -626,7 +633,7 @@ def only_reading(fields: Sequence[Sequence[str]]) -> dict[str, str]:
         return {}
     rows, fine = np.array(fields, float), []
     earth = _on_earth(fields, rows)
-    for roles in GUESSED.get(width, ()) if not earth else ():
+    for roles in () if earth else (roles for roles in GUESSED if len(roles) == width):
         column = dict(zip(roles, rows.T, strict=True))
         dt, place = np.diff(column.get("t", rows[:, 0])), np.array([column["x"], column["y"]])
         ascend = len(dt) > 0 and bool((dt > 0.0).all())
