@@ -92,6 +92,13 @@ def test_an_estimate_and_its_truth_in_one_row(scored, own, true):
     assert "no poses; compose them" in scored(text, f"image_next,{text}", wrong=True)
 
 
+@pytest.mark.parametrize("sides", ["Predicted Actual measured", "real desired", "vo ground_truth noisy"])
+def test_words_tell_the_truer_of_two_paths(scored, sides):
+    each = zip(sides.split(), (MINE, TRUE, 0 * TRUE), strict=False)
+    text = table({"t": T} | {f"{axis} {word}": pose[:, k] for word, pose in each for k, axis in enumerate("XY")})
+    assert scored(text)["rmse_position_m"] == pytest.approx(0.1)
+
+
 def test_two_estimates_beside_a_truth_are_to_be_chosen(scored):
     columns = dict(zip(("x_ekf", "x_odom", "y_ekf", "x_gt", "y_gt"), (*MINE.T[[0, 1, 1]], *TRUE.T[:2]), strict=True))
     text = table(columns)
@@ -104,6 +111,10 @@ def test_two_estimates_beside_a_truth_are_to_be_chosen(scored):
 
 def test_one_file_without_a_truth_is_refused(scored):
     assert "1 file without --truth" in scored(table(WHOLE), wrong=True)
+    columns = dict(zip(("x_raw", "y_raw", "x_filtered", "y_filtered"), (*TRUE.T[:2], *MINE.T[:2]), strict=True))
+    flags = "--columns truth.x=1,truth.y=2,estimate.x=3,estimate.y=4"
+    assert flags in scored(table(columns), wrong=True)
+    assert scored(table(columns), flags=flags.split())["rmse_position_m"] == pytest.approx(0.1)
 
 
 def test_of_stamps_those_count_that_tell_rows_apart(scored):
@@ -315,3 +326,35 @@ def test_rows_of_a_rotation_matrix_are_no_place_and_quaternion(tmp_path, refused
     rows = [(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0, k, 0.1 * k, 0.0, c, s, 0.0) for k, (c, s) in enumerate(turns)]
     (tmp_path / "a.csv").write_text("".join(",".join(map(str, row)) + "\n" for row in rows))
     assert "no known trajectory format" in refused(score, [str(tmp_path / "a.csv")] * 2)
+
+
+def lines_of(*columns, separator=" "):
+    return "\n".join(separator.join(map(str, row)) for row in np.column_stack(columns).tolist())
+
+
+PLANE = np.column_stack([np.sin(0.5 * TURN), np.cos(0.5 * TURN)])
+POSES = {
+    "m00 to m33": lambda M: "t," + ",".join(f"m{i}{j}" for i in range(4) for j in range(4)) + "\n"
+    + lines_of(T, M.reshape(-1, 16), separator=","),
+    "rotation, position": lambda M: lines_of(T, M[:, :3, :3].reshape(-1, 9), M[:, :3, 3]),
+    "by columns": lambda M: lines_of(T, np.swapaxes(M, 1, 2).reshape(-1, 16)),
+    "Open3D": lambda M: "\n".join(f"{k} {k} {k + 1}\n{lines_of(m)}" for k, m in enumerate(M)),
+    "three rows": lambda M: "\n\n".join(lines_of(m[:3]) for m in M),
+    "lists, w first": lambda M: "t,position,rotation\n" + "\n".join(
+        f'{t},"{p.tolist()}",{[w, 0, 0, z]}' for t, p, (z, w) in zip(T, M[:, :3, 3], PLANE.tolist(), strict=True)),
+    "about z": lambda M: "t x y z qz qw\n" + lines_of(T, M[:, :3, 3], PLANE),
+    "angles": lambda M: lines_of(T, M[:, :3, 3], 0 * T, 0 * T, TURN),
+    "a topic": lambda M: "__time," + ",".join(
+        f"/odom/pose/pose/{q}" for q in ("position/x", "position/y", "position/z", "orientation/z", "orientation/w"))
+    + "\n" + lines_of(T, M[:, :3, 3], PLANE, separator=","),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", POSES)
+def test_matrices_lists_and_a_single_topic_are_poses(scored, form):
+    M = np.tile(np.eye(4), (2, len(T), 1, 1))
+    M[..., :3, :3] = exp_rotation(TRUE[:, 2:] * [0.0, 0.0, 1.0])
+    M[..., :2, 3], M[..., 2, 3] = [MINE[:, :2], TRUE[:, :2]], 0.01 * T
+    values = scored(*map(POSES[form], M))
+    assert values["rmse_position_3d_m"] == pytest.approx(0.1)
+    assert values["rmse_rotation_3d_deg"] == pytest.approx(0.0, abs=1e-5)

@@ -6,18 +6,21 @@ translation first; without a header T = T_mean Exp(xi), in the body's axes. `#%K
 
 import csv
 import math
+import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
+import scipy
 
 from data.csv_table import cut_off, is_number, symmetric
 from data.errors import LARGEST, DataError, UsageError
 from data.formats.arrays import ELEMENT, columns_of, is_arrays
 from data.formats.messages import cut_end, kinds_of, read_lines
 from data.formats.results import path as paths
-from data.formats.results.space import UNIT, full, known_only, on_plane, rotations, translation_first
+from data.formats.results.space import UNIT, known_only, on_plane, rotations, translation_first
 from data.se2 import Array
 
 POSE = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -31,7 +34,19 @@ UNITS = {"seconds": "s", "s": "s", "milliseconds": "ms", "microseconds": "us", "
 CONVENTIONS = {"right_perturbation": paths.LOCAL, "left_perturbation": paths.LEFT}
 ORDERS = {"translation_rotation": paths.TRANSLATION, "rotation_translation": paths.ROTATION}
 ENTRIES = tuple(f"r{i}{j}" if j < 4 else f"t{i}" for i in (1, 2, 3) for j in (1, 2, 3, 4))
-EUROC = ("timestamp [ns]", "p_x", "p_y", "p_z", "q_w", "q_x", "q_y", "q_z")
+LAYOUTS = {  # Places in a row of the upper three rows of a 4 x 4 pose
+    "by rows": tuple(range(12)), "rotation, then position": (0, 1, 2, 9, 3, 4, 5, 10, 6, 7, 8, 11),
+    "position, then rotation": (3, 4, 5, 0, 6, 7, 8, 1, 9, 10, 11, 2),
+    "by columns": (0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14),
+}  # fmt: skip
+HEIGHTS = ((1, 0), (4, 0), (4, 1), (3, 0), (3, 1))  # Lines of a pose, and above it: of its stamp, or of other numbers
+LISTS = (
+    ("(p|t|pos|position|trans|translation|loc|location|xyz)s?", ("x", "y"), POSE[1:4]),
+    ("(q|quat|quaternion|rot|rotation|orientation)s?", POSE[4:]), ("(pose|state)s?", ("x", "y", "theta"), POSE[1:]),
+)  # fmt: skip
+"""Last words of names NAME_1, NAME_2, ..., and what as many columns are."""
+ABOUT_Z = 0.3  # Largest entries about x and y of quaternions of what drives on the ground
+EUROC = ("t", "x", "y", "z", "qw", "qx", "qy", "qz")
 
 
 @dataclass(frozen=True)
@@ -88,6 +103,7 @@ def read_text(path: Path) -> Text:
     if not data:
         raise DataError.at(path, f"no line of data{f' of {word}' * bool(word)}; at least one is needed")
     separator = next((s for s in (",", ";") if s in data[0][1]), None)
+    data = [(i, re.sub(r"[\[(][^\[\]()]*[\])]", lambda found: found[0].replace(",", " "), line)) for i, line in data]
     commas = separator == ";" and not any("." in line for _, line in data)  # of decimals
     fields = tuple(split(line.replace(",", ".") if commas else line, separator) for _, line in data)
     ended = fields[0][-1] == "" or len(fields[0]) < len(fields[-1])  # a last column with a name may be blank
@@ -106,19 +122,102 @@ def read_text(path: Path) -> Text:
     return Text(path, fields, tuple(i for i, _ in data), comments, separator is not None, header, cut)
 
 
-def numbers(
-    text: Text, columns: Sequence[str], *, more: bool = False, blank: bool = False, huge: Collection[str] = ()
-) -> Array:
-    """The fields as numbers (n, columns), NaN where unknown, as an infinite covariance is. `more`: further fields are
-    ignored, `blank`: fields may be blank, `huge`: columns that may exceed `LARGEST`.
+def layout_of(rows: Sequence[Sequence[str]]) -> str:
+    """Which of `LAYOUTS` rows of 12 or 16 numbers have, most of whose poses are rigid motions; empty for other rows."""
+    wide = len(rows[0])
+    if wide not in (12, 16) or not all(len(row) == wide and all(map(is_number, row)) for row in rows):
+        return ""
+    table = np.array(rows, float)
+    fits = (how for how, order in LAYOUTS.items() if max(order) < wide
+            and (np.delete(table, order, axis=1) == (0.0, 0.0, 0.0, 1.0)[: wide - 12]).all()
+            and np.median(_off(table[:, order].reshape(-1, 3, 4))) < UNIT)  # fmt: skip
+    return next(fits, "")
+
+
+def _off(P: Array) -> Array:
+    """How far the rotations of poses (n, 3, 4) are from any (n,)."""
+    R = P[:, :, :3]
+    return np.asarray(np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0.0))
+
+
+def in_rows(text: Text, *, named: bool) -> Text:
+    """The text with a pose's upper three rows in each, where it holds matrices, in one row or in several, behind a
+    stamp or not; of arrays with one matrix, whose columns have no names of their own and nobody `named`, without names.
+    """
+    stems = [n.rpartition("_") for n in text.fields[0]] if is_arrays(text.path) else []
+    if not named and len({stem for stem, _, number in stems if number.isdecimal()} - {""}) == 1:
+        full = text.fields[-1]  # without single numbers beside it
+        below = tuple(tuple(f for f, last in zip(row, full, strict=True) if last) for row in text.fields[1:])
+        text = replace(text, fields=below, line=text.line[1:], commas=False)
+    rows = text.fields
+    for high, above in HEIGHTS:
+        size = high + above
+        if (high > 1 and any((k % size < above) == (len(row) == 4) for k, row in enumerate(rows))) or len(rows) % size:
+            continue
+        each = [rows[k : k + size] for k in range(0, len(rows), size)]
+        joined = [(*(b[0] if above and len(b[0]) == 1 else ()), *chain(*b[above:])) for b in each]
+        for before in (0, 1):
+            if how := layout_of([row[before:] for row in joined]):
+                fields = tuple((*row[:before], *(row[before + k] for k in LAYOUTS[how])) for row in joined)
+                said = "; ".join(
+                    filter(None, (text.cut, f"inferred: each pose is a matrix, {how}" * (how != "by rows")))
+                )
+                return replace(text, fields=fields, line=text.line[::size], commas=False, cut=said)
+    return text
+
+
+def in_names(text: Text) -> Text:
+    """The text with columns of a place and a quaternion for those named as entries of a matrix or a list, and for cells
+    that hold a list. A matrix that is no rotation is not known.
+    """
+    head, *below = text.fields
+    wide = [len(_cells(field)) for field in below[0]] if below else []
+    names = [f"{n}_{k}" if many > 1 else n for n, many in zip(head, wide, strict=False) for k in range(1, many + 1)]
+    rows = [[cell for field in row for cell in _cells(field)] for row in below]
+    if 2 * sum(map(is_number, head)) >= len(head) or {len(row) for row in rows} != {len(names)}:
+        return text
+    groups, said = dict[str, list[tuple[str, int]]](), [text.cut] * bool(text.cut)
+    for j, name in enumerate(names):
+        if (stem := re.sub(r"[\W_]*\d[\d\W_]*$", "", name)) != name:
+            groups.setdefault(stem, []).append((re.sub(r"\D", "", name[len(stem) :]).zfill(2), j))
+    for stem, some in groups.items():
+        at, word = [j for _, j in sorted(some)], re.split(r"[\W_]", stem)[-1]
+        each = [[row[j] for j in at] + ["0"] * 3 * (len(at) == 9) for row in rows]
+        roles = next((r for w, *of in LISTS for r in of if len(r) == len(at) and re.fullmatch(w, word.lower())), ())
+        if how := layout_of(each):
+            P, roles = np.array(each, float)[:, LAYOUTS[how]].reshape(-1, 3, 4), POSE[4 if len(at) == 9 else 1 :]
+            P[bad := ~(_off(P) < UNIT), :, :3] = np.eye(3)
+            q = scipy.spatial.transform.Rotation.from_matrix(P[:, :, :3]).as_quat()
+            q[bad] = np.nan
+            each = [[*map(repr, row)] for row in np.column_stack([P[:, :, 3], q])[:, -len(roles) :].tolist()]
+        elif roles == POSE[4:] and all(map(is_number, chain(*each))):
+            far = np.abs(np.array(each, float)).max(axis=0)
+            roles = ("qw", *POSE[4:7]) if max(far[1:3]) < ABOUT_Z < far[0] else roles
+        if roles:
+            said.append(f"inferred: {names[at[0]]} to {names[at[-1]]} are {', '.join(roles)}")
+            own = [stem.removesuffix(word) + role for role in roles]
+            for row, values in zip((names, *rows), (own, *each), strict=True):
+                for k, j in enumerate(at):
+                    row[j] = values[k] if k < len(roles) else ""
+    return replace(text, fields=(tuple(names), *map(tuple, rows)), cut="; ".join(said)) if said else text
+
+
+def _cells(field: str) -> list[str]:
+    """A field, or the numbers of the list that it holds."""
+    return re.split(r"[\s,;]+", field.strip("[]() ")) if re.fullmatch(r"[\[(].*[\])]", field) else [field]
+
+
+def numbers(text: Text, columns: Sequence[str], *, blank: bool = False, huge: Collection[str] = ()) -> Array:
+    """The fields as numbers (n, columns), NaN where unknown, as an infinite covariance is, and where they may be blank;
+    those of `huge` columns may exceed `LARGEST`.
     """
     k = len(columns)
-    plain = _plain(text, k, more)
+    plain = _plain(text, k)
     if plain is not None:
         return plain
     found = np.full((len(text.fields), k), np.nan)
     for row, (line, fields) in enumerate(zip(text.line, text.fields, strict=True)):
-        if len(fields) < k or (len(fields) > k and not more):
+        if len(fields) != k:
             last = cut_off(len(fields), k, last=line == text.line[-1])
             raise DataError.at(text.path, f"{len(fields)} fields; {k} are needed{last}", line=line)
         for j, (name, field) in enumerate(zip(columns, fields, strict=False)):
@@ -136,16 +235,15 @@ def numbers(
     return found
 
 
-def _plain(text: Text, k: int, more: bool) -> Array | None:
-    """The first k fields of every line as numbers (n, k), at once; None unless all are finite and within bounds."""
-    widths = set(map(len, text.fields))
-    if min(widths) < k or (max(widths) > k and not more):
+def _plain(text: Text, k: int) -> Array | None:
+    """The k fields of every line as numbers (n, k), at once; None unless all are finite and within bounds."""
+    if {len(fields) for fields in text.fields} != {k}:
         return None
     try:
-        found = np.array([list(map(float, fields[:k])) for fields in text.fields])
+        found = np.array([list(map(float, fields)) for fields in text.fields])
     except ValueError:
         return None
-    underscored = any("_" in field for fields in text.fields for field in fields[:k])  # Python reads 1_0 as ten
+    underscored = any("_" in field for fields in text.fields for field in fields)  # Python reads 1_0 as ten
     return None if underscored or not (np.abs(found) <= LARGEST).all() else found
 
 
@@ -179,23 +277,6 @@ def read_tum(text: Text, manner: paths.Manner) -> paths.GivenPath:
         raise DataError.at(manner.cov, what, line=side.line[k])
     kind = f"TUM with covariances of {manner.cov}"
     return path_of(text, kind, (time, clock), rows, symmetric(kept[:, 1:], lower=True), manner, declared=side)
-
-
-def read_wide(text: Text, manner: paths.Manner) -> paths.GivenPath:
-    """A wide TUM file, with the covariance after the pose: a triangle, or the full matrix."""
-    square = len(text.fields[0]) == len(POSE) + len(ENTRIES_6)
-    rows = numbers(text, (*POSE, *(ENTRIES_6 if square else TRIANGLE)), huge=POSE[:1])
-    C, notes = full(rows[:, 8:], text.place) if square else (symmetric(rows[:, 8:], lower=True), ())
-    return path_of(text, "TUM with covariance", times_of(text, rows[:, 0], manner), rows[:, :8], C, manner, notes=notes)
-
-
-def read_openvins(text: Text, manner: paths.Manner) -> paths.GivenPath:
-    """Poses of OpenVINS or MINS, with covariances of rotation and position."""
-    rows = numbers(text, (*POSE, *BLOCKS), huge=POSE[:1])
-    C = of_blocks(rows[:, 8:14], rows[:, 14:])
-    stated = paths.Stated(convention=True, order=True)
-    at = times_of(text, rows[:, 0], manner)
-    return path_of(text, "OpenVINS", at, rows[:, :8], C, manner, frame=paths.MIXED, stated=stated)
 
 
 def of_blocks(rotation: Array, position: Array) -> Array:
@@ -313,8 +394,7 @@ def read_kitti(text: Text, manner: paths.Manner) -> paths.GivenPath:
     if stamped and manner.axes is None and (time % 1.0 == 0.0).all() and FLAT * wide[1] < min(wide[0], wide[2]):
         notes = ("inferred: its axes are a camera's, as y is by far the flattest one, and its stamps are numbers",)
         manner, stamped = replace(manner, axes=paths.CAMERA), False
-    off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    bad = np.flatnonzero((off > UNIT) | (np.linalg.det(R) < 0.0))
+    bad = np.flatnonzero(_off(rows) > UNIT)
     if len(bad):
         raise DataError.at(file, "no KITTI pose (no rotation); name columns: --columns x=2,y=3", line=text.line[bad[0]])
     usual = manner.axes is None and not stamped
@@ -324,10 +404,3 @@ def read_kitti(text: Text, manner: paths.Manner) -> paths.GivenPath:
 
 
 FLAT = 4.0  # Times as long as the height of a path is its way in a camera's axes, at least
-
-
-def read_euroc(text: Text, manner: paths.Manner) -> paths.GivenPath:
-    """Stamp [ns], position, quaternion w, x, y, z; velocities and biases after them are ignored."""
-    rows = numbers(text, EUROC, more=True, huge=EUROC[:1])[:, [0, 1, 2, 3, 5, 6, 7, 4]]
-    at = times_of(text, rows[:, 0], manner, usual="ns")
-    return path_of(text, "EuRoC CSV without header, quaternion w x y z", at, rows, None, manner)

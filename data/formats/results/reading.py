@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from itertools import pairwise
+from itertools import chain, pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +16,10 @@ from data.csv_table import ends_early, is_number, symmetric
 from data.dates import EXAMPLE, IN_SECONDS, ISO, is_date, seconds_of, unit_of
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean
-from data.formats.arrays import is_arrays
 from data.formats.messages import file_and_word, whole_names
 from data.formats.results import lines, path as paths
 from data.formats.results.bags import file_and_topic, is_bag, read_bag
-from data.formats.results.lines import BLOCKS, ENTRIES, EUROC, POSE, TRIANGLE, UNSTAMPED, Text
+from data.formats.results.lines import BLOCKS, ENTRIES_6, EUROC, POSE, TRIANGLE, UNSTAMPED, Text
 from data.formats.results.path import ABSENT, DATES, DIGITS, LOCAL, MIXED, WORLD, GivenPath, Manner, Stated
 from data.formats.results.space import UNIT, full, known_only, require_covariances
 from data.questions.examination import in_degrees
@@ -62,7 +61,9 @@ KNOWN_UNITS = {*DIGITS, *LENGTH, *TURNS}
 GROUPS = {"p": ("x", "y", "z"), "q": ("qx", "qy", "qz", "qw"), "v": ("vx", "vy", "vz")}
 """Names of several columns each, as in `# timestamp(s) q p v bg ba` of OpenVINS' states."""
 SHOWN = 6  # Most names in a note
-WELL_KNOWN: dict[tuple[str, ...], str] = {POSE: "TUM", ("t", "x", "y", "z", "qw", "qx", "qy", "qz"): "EuRoC CSV"}
+WELL_KNOWN: dict[tuple[str, ...], str] = {POSE: "TUM", EUROC: "EuRoC CSV", (*POSE, *BLOCKS): "OpenVINS"}
+WELL_KNOWN |= {(*POSE, *entries): "TUM with covariance" for entries in (TRIANGLE, ENTRIES_6)}
+MESSAGE, UPPER = tuple(f"f{k}" for k in range(36)), tuple(f"c{c[2]}{c[1]}" for c in TRIANGLE)
 PLANE = ("t", "x", "y", "theta")  # Columns of our own files, with `COVARIANCE`
 NANOSECONDS_FROM = 1e14  # Smallest stamp that is taken for ns: a day of them, or three million years of seconds
 
@@ -118,15 +119,18 @@ def header_names(text: Text, manner: Manner) -> Columns | None:
 
 def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, in_data: bool) -> Columns:
     """The column of each role: the stated one, else by its name; of an estimate and a truth in one row those of one."""
-    entry, place, earth = _by_number(names), {}, {"lat", "lon"}
-    read = [*map(cache(role_of), (entry.get(name, name) for name in names))]  # most names of a wide row are blank
+    entry, sides = _by_number(names), _sided(names) if manner.rows else names
+    each = (entry.get(name, side) for name, side in zip(names, sides, strict=True))
+    read, place, earth = [*map(cache(role_of), each)], {}, {"lat", "lon"}  # most names of a wide row are blank
     for role, name in manner.columns.items():
         number = int(name) - 1 if name.isdecimal() else -1
         if name not in names and not 0 <= number < len(names):
             what = f"no column {name!r}{did_you_mean(name, names)}; it has {', '.join(names)[:200]}"
             raise DataError.at(text.path, what, line=line or None)
         place[role] = names.index(name) if name in names else number
-    if len(several := topics_in(names)) > 1 and "x" in place and (topic := topic_of(names[place["x"]])):
+    several = topics_in(names)
+    topic = topic_of(names[place["x"]]) if "x" in place else several[0] if len(several) == 1 else ""
+    if topic and (len(several) > 1 or topic.startswith("/")):
         read = _roles(names, topic)
     found: dict[str, list[int]] = {}
     there = {role for role, _ in read} | {*place}
@@ -135,8 +139,8 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
     for j, (role, _) in enumerate(read):
         if role and role not in place and j not in place.values():
             found.setdefault(role, []).append(j)
-    of_name = {name: set(words_of(name)[0]) for name in {*names}}
-    words = [of_name[name] for name in names]
+    of_name = {name: set(words_of(name)[0]) for name in {*sides}}
+    words = [of_name[name] for name in sides]
     truly = TRUE | REFERENCE if any(each & ESTIMATED for each in words) else TRUE
     true = [bool(truly & each) for each in words]
     both = any(len({true[j] for j in some}) > 1 for role, some in found.items() if role != "t")
@@ -156,7 +160,8 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
             some = [j for j in some if len({f[j] for f in text.fields[1:] if j < len(f)}) > 1] or some
             some = [j for j in some if "stamp" in names[j].lower()][-1:] or some[:1]
         if role != "t" and manner.rows and "x" in manner.columns:  # nor of another path of the table
-            some = [j for j in some if not words[j] - AXES or words[j] - AXES == words[place["x"]] - AXES]
+            own = [{*words_of(name)[0]} - AXES for name in names]
+            some = [j for j in some if not own[j] or own[j] == own[place["x"]]]
         if role == "z" and manner.true and manner.rows and "x" in manner.columns:  # not of the estimate beside it
             some = [j for j in some if names[j].lower() == "z".join(names[place["x"]].lower().rsplit("x", 1))]
         unclear |= {role: some} if len(some) > 1 else {}
@@ -164,10 +169,11 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
     if unclear:
         role, some = next(iter(unclear.items()))
         what = f"{names[some[0]]!r} and {names[some[1]]!r} both name {role}; one of them is needed"
-        typed = ",".join(f"{'truth.' * manner.true}{r}={s[0] + 1}" for r, s in unclear.items())
+        of = (("truth.", 0), ("estimate.", -1)) if manner.rows and not both else (("truth." * manner.true, 0),)
+        typed = ",".join(f"{who}{r}={s[k] + 1}" for who, k in of for r, s in unclear.items())
         raise DataError.at(text.path, f"{what}, as in --columns {typed.replace('yaw', 'theta')}", line=line or None)
     beside_of = {name: some & SIDES for name, some in of_name.items()}
-    side, k = [beside_of[name] for name in names], place.get("x", place.get("lat", -1))
+    side, k = [beside_of[name] for name in sides], place.get("x", place.get("lat", -1))
     beside = [j for j, (role, _) in enumerate(read) if role == "x" and j != k]
     if not manner.true:  # odometry has none of its own
         beside = [j for j in beside if side[k] and not true[j] and side[j] != {"odom"}]
@@ -180,7 +186,31 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
     if "nanoseconds" in place and "t" not in place:
         place["t"], unit["t"] = place.pop("nanoseconds"), "ns"
     covariances = (*(names[place[role]] for role in spread if role in place),)
-    return Columns(place, unit, unread, len(names), line, in_data, "", covariances)
+    told = f"{'truth' if manner.true else 'estimate'}.{'x' if 'x' in place else 'lat'}={names[k]}"
+    return Columns(place, unit, unread, len(names), line, in_data, told * (manner.rows and both), covariances)
+
+
+def _sided(names: Sequence[str]) -> list[str]:
+    """Names of a table of two paths, with `gt` for words that tell the truer one, and `est` for other such words."""
+    apart, found = [re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[a-z]) ", "_", name) for name in names], list[str]()
+    for known, true in product((1, 2, len(OTHERS)), TRUER):  # words that nobody needs are not known
+        rest = WORD.format("|".join({*" ".join(OTHERS[:known]).split()}.difference(true.split())))
+        found = [re.sub(WORD.format(true.replace(" ", "|")), "gt", re.sub(rest, "est", name)) for name in apart]
+        if len({"gt" in words_of(name)[0] for name in found if role_of(name)[0] in ("x", "lat")}) > 1:
+            break
+    return found
+
+
+WORD = "(?i)(?<![a-z])({})(?![a-z])"
+TRUER = (
+    "gt true truth groundtruth ground_truth mocap vicon optitrack", "ref reference desired target expected",
+    "actual real reality", "sim simulated",
+)  # fmt: skip
+OTHERS = (
+    "est", "pred predict predicted prediction filter filtered kalman fused corrected estimation vo vio mean mu",
+    "robot output meas measured noisy raw odometry", *TRUER,
+)  # fmt: skip
+"""Words of the true path in a row with another, the first of these that the row has; and those of the other one."""
 
 
 def _by_number(names: Sequence[str]) -> dict[str, str]:
@@ -290,6 +320,8 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     if ours:
         _require_ours(text, columns, manner)
     quaternion = [q for q in POSE[4:] if q in place]
+    if flat := quaternion == ["qz", "qw"]:
+        quaternion, columns = [], replace(columns, unit=columns.unit | {"yaw": "rad"})
     for role in (*(("lat", "lon") if "lat" in place else ("x", "y")), *(POSE[4:] if quaternion else ())):
         if role not in place:
             what = f"no column {role} is named: {', '.join(columns.order) or 'none'} are known"
@@ -299,7 +331,9 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
             raise DataError.at(text.path, what, line=columns.line or None)
     dated = _in_seconds(body, place["t"]) if "t" in place else body
     value = {"t": np.arange(len(body.fields), dtype=float)} | _values(dated, columns)
-    absent = not quaternion and "yaw" not in place
+    if flat:
+        value["yaw"] = 2.0 * np.arctan2(value.pop("qz"), value.pop("qw"))
+    absent = not quaternion and "yaw" not in value
     asked = absent and not manner.columns.keys() & {"x", "lat"}
     if asked and (turned := [n for n in columns.unread if re.search(r"(?i)q\d|quat|rot|orient", n)]):
         what = f"no orientation is named ({', '.join(turned)} are unknown); qx, qy, qz, qw or yaw is needed"
@@ -432,29 +466,29 @@ def _spatial(
     pose = np.column_stack([value["t"], value["x"], value["y"], value.get("z", zero), q])
     C: Array | None = None
     frame, stated = LOCAL, Stated()
-    if all(b in value for b in BLOCKS):
-        C = lines.of_blocks(*(np.column_stack([value[b] for b in half]) for half in (BLOCKS[:6], BLOCKS[6:])))
-        frame, stated = MIXED, Stated(convention=True, order=True)
-    elif all(f"f{k}" in value for k in range(36)):
-        C, more = full(np.column_stack([value[f"f{k}"] for k in range(36)]), body.place)
-        frame, stated, notes = WORLD, Stated(order=True), notes + more
-    elif all(c in value for c in TRIANGLE):
-        C = symmetric(np.column_stack([value[c] for c in TRIANGLE]), lower=True)
-    elif all(f"{c[0]}{c[2]}{c[1]}" in value for c in TRIANGLE):
-        C = symmetric(np.column_stack([value[f"{c[0]}{c[2]}{c[1]}"] for c in TRIANGLE]), lower=True)
+    known = next((names for names in (BLOCKS, MESSAGE, ENTRIES_6, TRIANGLE, UPPER) if {*names} <= {*value}), ())
+    entries = np.column_stack([value[name] for name in known or POSE[1:3]])
+    if known == BLOCKS:
+        C, frame, stated = lines.of_blocks(entries[:, :6], entries[:, 6:]), MIXED, Stated(convention=True, order=True)
+    elif known in (MESSAGE, ENTRIES_6):
+        C, more = full(entries, body.place)
+        frame, stated = (WORLD, Stated(order=True)) if known == MESSAGE else (frame, stated)
+        notes += more
+    elif known:
+        C = symmetric(entries, lower=True)
     elif set(COVARIANCE) <= {*value}:
         C, frame, stated = np.full((len(pose), 6, 6), np.nan), WORLD, Stated(order=True)
         turn = TURNS[columns.unit.get("yaw") or manner.angles or "rad"] if "qw" not in value else 1.0
         entries = np.column_stack([value[c] * turn ** c.count("t") for c in COVARIANCE])
         C[:, [[0], [1], [5]], [0, 1, 5]] = symmetric(entries)
         C[:, 2, 2] = value.get("c_zz", C[:, 2, 2])
-    kind = WELL_KNOWN.get(columns.order[:8], f"columns {', '.join(columns.order[:8])}")
+    kind = WELL_KNOWN.get(columns.order, WELL_KNOWN.get(columns.order[:8], f"columns {', '.join(columns.order[:8])}"))
     time, clock = lines.times_of(body, value["t"], manner, unit=unit, column=columns.place.get("t", UNSTAMPED))
     path = lines.path_of(body, kind, (time, clock), pose, C, manner, frame=frame, stated=stated, notes=notes)
     if "qw" in value or "yaw" in columns.unit or manner.angles is not None:
         return path
-    known = np.flatnonzero(np.isfinite(pose).all(axis=1))
-    rows_kept = known[np.searchsorted(time[known], path.time, side="right") - 1]
+    finite = np.flatnonzero(np.isfinite(pose).all(axis=1))
+    rows_kept = finite[np.searchsorted(time[finite], path.time, side="right") - 1]
     return replace(path, headings=value["yaw"][rows_kept])
 
 
@@ -503,23 +537,12 @@ def _planar(
 
 def is_euroc(text: Text) -> bool:
     """Whether all lines are as many numbers, with commas: a stamp in ns, a position, and a quaternion of length 1."""
-    if not text.commas or not all(is_number(f) for fields in text.fields for f in fields[: len(EUROC)]):
+    each = [fields[: len(EUROC)] for fields in text.fields]
+    if not text.commas or len({*map(len, text.fields)}) > 1 or not all(map(is_number, chain(*each))):
         return False
-    if len(text.fields[0]) < len(EUROC) or len(set(map(len, text.fields))) > 1:
-        return False
-    rows = np.array([fields[: len(EUROC)] for fields in text.fields], float)
-    off = np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1)
-    return bool((rows[:, 0] > NANOSECONDS_FROM).all() and (off < UNIT).all())
-
-
-def are_matrices(text: Text, before: int) -> bool:
-    """Whether most lines are some numbers `before` the upper three rows of a 4x4 pose, and all as many numbers."""
-    if {len(fields) for fields in text.fields} != {before + len(ENTRIES)}:
-        return False
-    if not all(is_number(f) for fields in text.fields for f in fields):
-        return False
-    R = np.array(text.fields, float)[:, before:].reshape(-1, 3, 4)[:, :, :3]
-    return bool(np.median(np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))) < UNIT)
+    rows = np.array(each, float)
+    unit = rows.shape[1] == len(EUROC) and np.allclose(np.linalg.norm(rows[:, 4:], axis=1), 1.0, rtol=0.0, atol=UNIT)
+    return bool(unit and (rows[:, 0] > NANOSECONDS_FROM).all())
 
 
 PLAIN = Manner()
@@ -527,9 +550,8 @@ ACCEPTED = (
     "a CSV with the columns t,x,y,theta, TUM (8 columns), TUM with covariance (29 or 44), SQUARE, OpenVINS (20), EuRoC "
     "(commas, ns), KITTI poses (12, with stamps 13), columns named in a header, or a ROS bag"
 )
-WIDTHS: dict[int, Callable[[Text, Manner], GivenPath]] = {
-    8: lines.read_tum, 29: lines.read_wide, 44: lines.read_wide, 20: lines.read_openvins, 12: lines.read_kitti,
-}  # fmt: skip
+WIDTHS = {len(roles): roles for roles in WELL_KNOWN if len(roles) > len(POSE)}  # Columns without names
+WITHOUT_NAMES = {8: lines.read_tum, 12: lines.read_kitti}
 
 
 def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
@@ -545,7 +567,8 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
     elif path.is_dir():
         raise DataError.at(path, "a folder; a result is a file, or the folder of a run with online.csv or final.csv")
     else:
-        text = _without_words(_matrices(lines.read_text(path), manner), manner)
+        text = lines.in_rows(lines.read_text(path), named=bool(manner.columns))
+        text = _without_words(text if manner.columns.keys() - {"t"} else lines.in_names(text), manner)
         read = _reader(text, manner)
         found, cov = read(text, manner), read is lines.read_tum
         found = replace(found, notes=(*found.notes, text.cut)) if text.cut else found
@@ -564,34 +587,12 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
     return found
 
 
-def _matrices(text: Text, manner: Manner) -> Text:
-    """The text with the upper three rows of poses that are 4 x 4 numbers, in one row or in four, behind a stamp or not;
-    of arrays with one matrix, whose columns have no names of their own, without names.
-    """
-    named = [n.rpartition("_") for n in text.fields[0]] if is_arrays(text.path) else []
-    if not manner.columns and len({stem for stem, _, number in named if number.isdecimal()} - {""}) == 1:
-        text = replace(text, fields=text.fields[1:], line=text.line[1:], commas=False)
-    if not all(len(row) == len(text.fields[0]) and is_number(row[-1]) for row in text.fields):
-        return text
-    last = [tuple(map(float, row[-4:])) if all(map(is_number, row[-4:])) else () for row in text.fields]
-    width, rows = len(text.fields[0]), len(last)
-    if width in (16, 17) and set(last) == {LAST_ROW}:
-        return replace(text, fields=tuple(row[:-4] for row in text.fields), commas=False)
-    if width == 4 and rows % 4 == 0 and set(last[3::4]) == {LAST_ROW}:
-        joined = tuple(sum(text.fields[k : k + 3], ()) for k in range(0, rows, 4))
-        return replace(text, fields=joined, line=text.line[::4], commas=False)
-    return replace(text, commas=False) if width in (12, 13) and are_matrices(text, width - 12) else text
-
-
-LAST_ROW = (0.0, 0.0, 0.0, 1.0)  # of a pose of 4 x 4 numbers
-
-
 def _without_words(text: Text, manner: Manner) -> Text:
     """The text without a word before each pose of KITTI or TUM, which is said; any other as it is."""
     body, words = replace(text, fields=tuple(row[1:] for row in text.fields)), {row[0] for row in text.fields}
-    if manner.columns or len(body.fields[0]) not in WIDTHS or any(map(is_number, words)):
+    if manner.columns or len(body.fields[0]) not in WITHOUT_NAMES or any(map(is_number, words)):
         return text
-    turned = are_matrices(body, 0) or tuple(only_reading(body.fields)) == POSE
+    turned = lines.layout_of(body.fields) or tuple(only_reading(body.fields)) == POSE
     if not turned or header_names(text, manner) is not None:
         return text
     said = f"a word before each pose is left out ({', '.join(sorted(words))[:60]}); FILE:WORD reads those of one"
@@ -607,12 +608,14 @@ def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:
         plain = columns.order == POSE and columns.named == len(POSE) and not text.commas
         if not plain or len(first) not in (8, 29, 44):
             return partial(read_named, columns=columns)
-    if are_matrices(text, 1):
+    if lines.layout_of([fields[1:] for fields in text.fields]):
         return lines.read_kitti
-    if is_euroc(text):
-        return lines.read_euroc
-    known = WIDTHS.get(len(first)) if not text.commas and is_number(first[0]) else None
-    stated = {} if known not in (None, lines.read_kitti) or are_matrices(text, 0) else only_reading(text.fields)
+    bare = not text.commas and is_number(first[0])
+    if roles := EUROC if is_euroc(text) else WIDTHS.get(len(first), ()) if bare else ():
+        of = Columns({role: k for k, role in enumerate(roles)}, {}, (), len(roles), 0, in_data=False)
+        return partial(read_named, columns=of)
+    known = WITHOUT_NAMES.get(len(first)) if bare else None
+    stated = {} if known not in (None, lines.read_kitti) or lines.layout_of(text.fields) else only_reading(text.fields)
     if stated and (columns := header_names(text, replace(manner, columns=stated))) is not None:
         return partial(read_named, columns=replace(columns, told=",".join(f"{q}={n}" for q, n in stated.items())))
     if known is not None:
@@ -625,7 +628,8 @@ def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:
     raise DataError.at(text.path, what, line=text.line[odd])
 
 
-GUESSED = {2: (("x", "y"),), 3: (("x", "y", "yaw"), ("t", "x", "y")), 4: (("t", "x", "y", "yaw"),)}
+PLANAR, SPACE = ("t", "x", "y", "yaw"), ("t", "x", "y", "z", "roll", "pitch", "yaw")
+GUESSED: tuple[tuple[str, ...], ...] = (("x", "y"), ("x", "y", "yaw"), ("t", "x", "y"), PLANAR, SPACE[1:], SPACE)
 """What columns without names may be, by their number."""
 ALONG = 0.7  # Least mean cosine between headings and the direction of motion
 HALF, ROUNDED = 0.5, 1e-9  # Least share of a path's turns that headings follow; share of its length that is rounding
@@ -644,7 +648,7 @@ def only_reading(fields: Sequence[Sequence[str]]) -> dict[str, str]:
         return {}
     rows, fine = np.array(fields, float), []
     earth = _on_earth(fields, rows)
-    for roles in GUESSED.get(width, ()) if not earth else ():
+    for roles in () if earth else (roles for roles in GUESSED if len(roles) == width):
         column = dict(zip(roles, rows.T, strict=True))
         dt, place = np.diff(column.get("t", rows[:, 0])), np.array([column["x"], column["y"]])
         ascend = len(dt) > 0 and bool((dt > 0.0).all())
@@ -689,9 +693,8 @@ def _on_earth(fields: Sequence[Sequence[str]], rows: Array) -> tuple[str, ...]:
 
 def _turned(rows: Array) -> tuple[str, ...]:
     """Roles of columns of a place and a unit quaternion, with or without a stamp, maybe with more behind; else none."""
-    R = rows[:, :9].reshape(-1, 3, 3) if len(rows.T) >= len(ENTRIES) else np.zeros((1, 3, 3))
-    if np.allclose(R @ R.transpose(0, 2, 1), np.eye(3), atol=UNIT):
-        return ()  # a rotation matrix before a position
+    if lines.layout_of([[*map(str, row[:12])] for row in rows.tolist()]):
+        return ()
     stamps = len(rows) > 1 and bool((np.diff(rows[:, 0]) > 0.0).all())
     found = []
     for roles in (POSE, (*POSE[:3], *POSE[4:])) if stamps else (POSE[1:],):
@@ -715,7 +718,10 @@ def holds_both(name: str) -> bool:
     if is_bag(file_and_topic(name)[0]) or not file_and_word(Path(name))[0].is_file():
         return False
     try:
-        found = [header_names(lines.read_text(Path(name)), Manner(true=side)) for side in (False, True)]
+        found = [
+            header_names(lines.in_names(lines.read_text(Path(name))), Manner(true=side, rows=True))
+            for side in (False, True)
+        ]
     except DataError:  # of several that name a position, which reading it will say
         return True
     x, true = (None if columns is None else columns.place.get("lat", columns.place.get("x")) for columns in found)
