@@ -12,7 +12,7 @@ import numpy as np
 from data import se2
 from data.csv_table import is_number
 from data.formats.arrays import ELEMENT
-from data.formats.results.reading import only_reading
+from data.formats.results.reading import only_reading, words_of
 from data.formats.tables.files import TextTable
 from data.se2 import Array
 
@@ -20,6 +20,7 @@ WORDS = {
     "odometry": "odo|control|input|cmd|command|^u_", "truth": "tru|real|gt", "map": "map|land|lm|beacon|^m_",
 }  # fmt: skip
 """Parts of names of matrices that tell a role, where a file has several."""
+SEEN = "obs|meas|detect|range|bear|dist|noise|sigma|std|cov"  # of no role's
 LARGEST = 3.0 * np.pi  # rad, a direction of half a turn less a heading of one: bearings that were not wrapped
 SPANS = (1, 4, 16)  # Observations of a landmark between two that are compared
 CLEAR = 0.7  # Largest share of the next reading's spread: of 360 simulated tables 260 were read so, none wrong
@@ -36,7 +37,8 @@ def by_layout(file: TextTable, role: str, *, alone: bool = True) -> tuple[TextTa
     if role == "map" and file.named:  # a row for x, one for y
         turned = (tuple(zip(*p.rows, strict=True)) if len(p.rows) < 4 < len(p.names) else p.rows for p in parts)
         parts = [replace(p, rows=rows) for p, rows in zip(parts, turned, strict=True)]
-    tells = [{of for of, words in WORDS.items() if re.search(words, p.names[0].lower())} for p in parts]
+    titles = [p.names[0].lower() for p in parts]
+    tells = [{of for of, words in WORDS.items() if re.search(words, n) and not re.search(SEEN, n)} for n in titles]
     free = [{role} if alone and len(parts) == 1 else of or {*[role] * alone} for of in tells]
     each = zip(parts, free, strict=True)
     found = [(p, names) for p, of in each if role in of and (names := _names(p.rows, role))]
@@ -144,9 +146,14 @@ def named_alike(seen: TextTable, known: TextTable) -> tuple[str, str] | None:
     for name, ids in zip(known.names, zip(*known.rows, strict=True), strict=True):
         distinct = len({*ids}) == len(ids) and not any("." in field and is_number(field) for field in ids)
         for own, fields in zip(seen.names, zip(*seen.rows, strict=True), strict=True) if distinct else ():
-            if 1 < len(used := {*fields} - {""}) <= len(fields) / AGAIN and used <= {*ids}:
+            told = own == name or not all(map(is_number, ids)) or CALLED & {*words_of(own)[0]}
+            if told and 1 < len(used := {*fields} - {""}) <= len(fields) / AGAIN and used <= {*ids}:
                 pairs.append((own, name))
     return pairs[0] if len(pairs) == 1 and seen.named and known.named else None
+
+
+CALLED = frozenset(("id", "landmark", "lm", "tag", "marker", "beacon", "anchor", "node", "cone", "subject", "barcode"))
+"""Words of columns whose numbers may name landmarks."""
 
 
 def landmarks_in_rows(file: TextTable) -> tuple[TextTable, TextTable, str] | None:

@@ -121,11 +121,16 @@ def wide_in(file: TextTable, *, stated: bool) -> list[str]:
     names tell it where no scanner is `stated`.
     """
     runs = [names for _, run in groupby(file.names, key=stem_of) if len(names := list(run)) >= BEAMS and file.named]
-    told = [names for names in runs if "cov" not in names[0].lower() and (stated or SCANNED.search(names[0].lower()))]
+    words = [{*words_of(stem_of(names[0]))[0]} for names in runs]
+    told = [
+        names
+        for names, of in zip(runs, words, strict=True)
+        if of & SCANNED or (stated and not of & {"cov", "covariance"})
+    ]
     return [told[0][0], told[0][-1]] if len(told) == 1 else []
 
 
-SCANNED = re.compile(r"range|scan|laser|lidar|beam|ray|^d(ist(ance)?)?_?\d")
+SCANNED = frozenset(("range", "ranges", "scan", "scans", "laser", "lidar", "beam", "beams", "ray", "rays", "d", "dist"))
 
 
 def _listed_angles(file: TextTable, beams: Sequence[int], columns: Columns) -> Array | None:
