@@ -221,7 +221,7 @@ def _comparable(
     other = truth.path or GivenPath(f"log {log.name!r}", "", truth.time, truth.pose, clock=Clock("s", STATED))
     made: dict[str, GivenPath] = {}
     for phase, path in paths.items():
-        made[phase], other = same_clock(path, other)
+        made[phase], other = same_clock(path, other, result.name)
     made, moved = _moved(made, other, result.offset)
     if truth.path is None:
         return made, truth, moved

@@ -157,7 +157,7 @@ def test_kitti_is_in_a_cameras_axes_and_of_the_same_length(scored, tmp_path):
     assert not asked
     error = scored(kitti(PLACES[:-1]), kitti(PLACES), status=2)
     assert "4 poses without stamps, and 5 of" in error
-    assert "--times NAME=FILE" in error
+    assert "--times estimate=FILE" in error
 
 
 @pytest.mark.parametrize("stamped", ["neither", "truth", "estimate"])

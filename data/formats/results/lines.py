@@ -40,6 +40,7 @@ LAYOUTS = {  # Places in a row of the upper three rows of a 4 x 4 pose
     "by columns": (0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14),
 }  # fmt: skip
 HEIGHTS = ((1, 0), (4, 0), (4, 1), (3, 0), (3, 1))  # Lines of a pose, and above it: of its stamp, or of other numbers
+CELLS = r"[\[(][^\[\]()]*[\])]|(?<=\d) sec(?=[,;])"  # That are lists; unit of stamps of MATLAB's timetables
 LISTS = (
     ("(p|t|pos|position|trans|translation|loc|location|xyz)s?", ("x", "y"), POSE[1:4]),
     ("(q|quat|quaternion|rot|rotation|orientation)s?", POSE[4:]), ("(pose|state)s?", ("x", "y", "theta"), POSE[1:]),
@@ -103,7 +104,7 @@ def read_text(path: Path) -> Text:
     if not data:
         raise DataError.at(path, f"no line of data{f' of {word}' * bool(word)}; at least one is needed")
     separator = next((s for s in (",", ";") if s in data[0][1]), None)
-    data = [(i, re.sub(r"[\[(][^\[\]()]*[\])]", lambda found: found[0].replace(",", " "), line)) for i, line in data]
+    data = [(i, re.sub(CELLS, lambda cell: cell[0].replace(",", " ").replace(" sec", ""), line)) for i, line in data]
     commas = separator == ";" and not any("." in line for _, line in data)  # of decimals
     fields = tuple(split(line.replace(",", ".") if commas else line, separator) for _, line in data)
     ended = fields[0][-1] == "" or len(fields[0]) < len(fields[-1])  # a last column with a name may be blank
@@ -150,7 +151,7 @@ def in_rows(text: Text, *, named: bool) -> Text:
         below = tuple(tuple(f for f, last in zip(row, full, strict=True) if last) for row in text.fields[1:])
         text = replace(text, fields=below, line=text.line[1:], commas=False)
     rows = text.fields
-    for high, above in HEIGHTS:
+    for high, above in HEIGHTS if len(rows[-1]) in (4, 12, 13, 16, 17) else ():
         size = high + above
         if (high > 1 and any((k % size < above) == (len(row) == 4) for k, row in enumerate(rows))) or len(rows) % size:
             continue
@@ -173,18 +174,18 @@ def in_names(text: Text) -> Text:
     head, *below = text.fields
     wide = [len(_cells(field)) for field in below[0]] if below else []
     names = [f"{n}_{k}" if many > 1 else n for n, many in zip(head, wide, strict=False) for k in range(1, many + 1)]
-    rows = [[cell for field in row for cell in _cells(field)] for row in below]
-    if 2 * sum(map(is_number, head)) >= len(head) or {len(row) for row in rows} != {len(names)}:
-        return text
     groups, said = dict[str, list[tuple[str, int]]](), [text.cut] * bool(text.cut)
     for j, name in enumerate(names):
         if (stem := re.sub(r"[\W_]*\d[\d\W_]*$", "", name)) != name:
             groups.setdefault(stem, []).append((re.sub(r"\D", "", name[len(stem) :]).zfill(2), j))
+    rows = [[*chain(*map(_cells, row))] for row in below] if max(wide, default=1) > 1 else [*map(list, below)]
+    if not groups or 2 * sum(map(is_number, head)) >= len(head) or {len(row) for row in rows} != {len(names)}:
+        return text
     for stem, some in groups.items():
         at, word = [j for _, j in sorted(some)], re.split(r"[\W_]", stem)[-1]
         each = [[row[j] for j in at] + ["0"] * 3 * (len(at) == 9) for row in rows]
         roles = next((r for w, *of in LISTS for r in of if len(r) == len(at) and re.fullmatch(w, word.lower())), ())
-        if how := layout_of(each):
+        if how := layout_of(each[:1000]) and layout_of(each):
             P, roles = np.array(each, float)[:, LAYOUTS[how]].reshape(-1, 3, 4), POSE[4 if len(at) == 9 else 1 :]
             P[bad := ~(_off(P) < UNIT), :, :3] = np.eye(3)
             q = scipy.spatial.transform.Rotation.from_matrix(P[:, :, :3]).as_quat()
@@ -204,7 +205,7 @@ def in_names(text: Text) -> Text:
 
 def _cells(field: str) -> list[str]:
     """A field, or the numbers of the list that it holds."""
-    return re.split(r"[\s,;]+", field.strip("[]() ")) if re.fullmatch(r"[\[(].*[\])]", field) else [field]
+    return re.split(r"[\s,;]+", field.strip("[]() ")) if field[:1] in ("[", "(") else [field]
 
 
 def numbers(text: Text, columns: Sequence[str], *, blank: bool = False, huge: Collection[str] = ()) -> Array:
@@ -277,13 +278,6 @@ def read_tum(text: Text, manner: paths.Manner) -> paths.GivenPath:
         raise DataError.at(manner.cov, what, line=side.line[k])
     kind = f"TUM with covariances of {manner.cov}"
     return path_of(text, kind, (time, clock), rows, symmetric(kept[:, 1:], lower=True), manner, declared=side)
-
-
-def of_blocks(rotation: Array, position: Array) -> Array:
-    """Covariances (n, 6, 6), translation first, from upper triangles (n, 6) each, without correlation between them."""
-    C = np.zeros((len(rotation), 6, 6))
-    C[:, :3, :3], C[:, 3:, 3:] = symmetric(position), symmetric(rotation)
-    return C
 
 
 def read_square(text: Text, manner: paths.Manner) -> paths.GivenPath:

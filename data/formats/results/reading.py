@@ -19,7 +19,7 @@ from data.errors import DataError, UsageError, did_you_mean
 from data.formats.messages import file_and_word, whole_names
 from data.formats.results import lines, path as paths
 from data.formats.results.bags import file_and_topic, is_bag, read_bag
-from data.formats.results.lines import BLOCKS, ENTRIES_6, EUROC, POSE, TRIANGLE, UNSTAMPED, Text
+from data.formats.results.lines import BLOCKS, ENTRIES, ENTRIES_6, EUROC, POSE, TRIANGLE, UNSTAMPED, Text
 from data.formats.results.path import ABSENT, DATES, DIGITS, LOCAL, MIXED, WORLD, GivenPath, Manner, Stated
 from data.formats.results.space import UNIT, full, known_only, require_covariances
 from data.questions.examination import in_degrees
@@ -469,7 +469,8 @@ def _spatial(
     known = next((names for names in (BLOCKS, MESSAGE, ENTRIES_6, TRIANGLE, UPPER) if {*names} <= {*value}), ())
     entries = np.column_stack([value[name] for name in known or POSE[1:3]])
     if known == BLOCKS:
-        C, frame, stated = lines.of_blocks(entries[:, :6], entries[:, 6:]), MIXED, Stated(convention=True, order=True)
+        C, frame, stated = np.zeros((len(pose), 6, 6)), MIXED, Stated(convention=True, order=True)
+        C[:, 3:, 3:], C[:, :3, :3] = symmetric(entries[:, :6]), symmetric(entries[:, 6:])
     elif known in (MESSAGE, ENTRIES_6):
         C, more = full(entries, body.place)
         frame, stated = (WORLD, Stated(order=True)) if known == MESSAGE else (frame, stated)
@@ -608,7 +609,7 @@ def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:
         plain = columns.order == POSE and columns.named == len(POSE) and not text.commas
         if not plain or len(first) not in (8, 29, 44):
             return partial(read_named, columns=columns)
-    if lines.layout_of([fields[1:] for fields in text.fields]):
+    if len(first) == len(ENTRIES) + 1 and lines.layout_of([fields[1:] for fields in text.fields]):
         return lines.read_kitti
     bare = not text.commas and is_number(first[0])
     if roles := EUROC if is_euroc(text) else WIDTHS.get(len(first), ()) if bare else ():

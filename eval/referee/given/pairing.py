@@ -143,28 +143,28 @@ def _costs(a: Array, known_a: BoolArray, b: Array, known_b: BoolArray, floor: Ar
 FEW, PLENTY = 5, 20  # least number of matched poses for a question about both files; about their clocks and frames
 
 
-def same_clock(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
+def same_clock(a: GivenPath, b: GivenPath, name: str) -> tuple[GivenPath, GivenPath]:
     """Both with stamps in s; a unit inferred by rate gives way where the plain numbers fit the other file better.
 
-    Files without stamps get those of the other. DataError where the spans of both and their steps differ by the same
-    power of a thousand, or where two files, of which one has no stamps, have unequal numbers of poses.
+    Files without stamps, or whose stamps count rows, get those of the other. DataError where the spans of both and
+    their steps differ by the same power of a thousand, or where two files, of which one has no stamps, have unequal
+    numbers of poses; `name` is that of `a` in flags.
     """
-    if ROWS in (a.clock.by, b.clock.by):
-        lacking, other = (a, b) if a.clock.by == ROWS else (b, a)
+    for lacking, other in ((a, b), (b, a)):
+        if lacking.clock.by != ROWS and not _counts_rows(lacking, other):
+            continue
         k = rows_apart(a, b) if len(a) != len(b) else 0
         if k is None:
             what = f"{len(lacking)} poses without stamps, and {len(other)} of {other.file}: which belong together?"
-            needed = "As many in both are needed, or --times NAME=FILE, a stamp [s] a line"
-            raise DataError.at(lacking.file, f"{what} {needed}")
+            flag = f"--times {name if lacking is a else 'truth'}=FILE"
+            raise DataError.at(lacking.file, f"{what} As many in both are needed, or {flag}, a stamp [s] a line")
         at = np.arange(len(lacking)) + (k if lacking is a else -k)
         time = np.interp(at, np.arange(len(other)), other.time)
         time += (at - np.clip(at, 0, len(other) - 1)) * float(np.median(np.diff(other.time)))
-        stamped = restamped(lacking, time, other.clock)
-        a, b = (stamped, b) if lacking is a else (a, stamped)
-        said = (
-            f"inferred: row {1 + max(0, -k)} of {a.file} is of row {1 + max(0, k)} of {b.file}, as motions fit best so"
-        )
-        return (a if len(a) == len(b) else replace(a, notes=(*a.notes, said))), b
+        why = ", as motions fit best so" * (len(a) != len(b))
+        said = f"inferred: row {1 + max(0, -k)} of {a.file} is of row {1 + max(0, k)} of {b.file}{why}"
+        told = a if lacking.clock.by == ROWS and len(a) == len(b) else replace(a, notes=(*a.notes, said))
+        return (restamped(told, time, b.clock), b) if lacking is a else (told, restamped(b, time, a.clock))
     a, b = _plain_if_better(a, b), _plain_if_better(b, a)
     (span_a, step_a), (span_b, step_b) = _span(a), _span(b)
     sure = {a.clock.by, b.clock.by} & {paths.ASSUMED, paths.RATE}
@@ -217,6 +217,12 @@ def _plain_if_better(path: GivenPath, other: GivenPath) -> GivenPath:
     plain = path.time * 10.0 ** paths.DIGITS[path.clock.unit]
     better = _overlap(plain, other.time) > 2.0 * _overlap(path.time, other.time)
     return restamped(path, plain, Clock("s", paths.ASSUMED)) if better else path
+
+
+def _counts_rows(path: GivenPath, other: GivenPath) -> bool:
+    """Whether stamps count rows, as many as those of the other, whose stamps are elsewhere."""
+    counts = path.clock.by == paths.ASSUMED and len(path) == len(other) > FEW and (np.diff(path.time) == 1.0).all()
+    return bool(counts and not _overlap(path.time, other.time))
 
 
 def _overlap(time: Array, other: Array) -> float:
