@@ -28,7 +28,7 @@ from data.formats.tables import files as table_files, motion
 from data.formats.tables.files import POSE, ROLES, SCANS, SECOND, STAMPED, STARRED, Columns, Given, TextTable, Units
 from data.formats.tables.layout import by_layout, landmarks_in_rows, named_alike, seen_by_layout
 from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of, path_of
-from data.formats.tables.scans import BEAMS, wide_in
+from data.formats.tables.scans import BEAMS, folded_up, wide_in
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise
 from data.origin import Origin, Origins
 from data.se2 import Array
@@ -346,6 +346,8 @@ def settle(given: Given) -> Wanted:
     for role, path in files.items():
         count, seen = len(next(iter(read.values()), ())), role in (OBSERVATIONS, *several)
         read |= {path: table_files.read_text(path, named.values(), count, seen=seen)} if path not in read else {}
+    for path in {files.get(SCANS, files["odometry"])} - {files.get(OBSERVATIONS)}:
+        read[path] = folded_up(read[path]) or read[path]
     texts = {role: read[path] for role, path in files.items()}
     columns.notes += [f"{path.name}: {table.cut}" for path, table in read.items() if table.cut]
     for role in (r for r in ROLES[1:] if r not in texts):  # further parts in the file of the odometry

@@ -4,11 +4,12 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import groupby
+from itertools import groupby, pairwise
 from types import SimpleNamespace
 
 import numpy as np
 
+from data.columns.named import STAMP
 from data.csv_table import Table, is_number
 from data.errors import DataError, UsageError
 from data.formats.bags import GEOMETRY, Collected, LaserScans, scans_of
@@ -131,6 +132,42 @@ def wide_in(file: TextTable, *, stated: bool) -> list[str]:
 
 
 SCANNED = frozenset(("range", "ranges", "scan", "scans", "laser", "lidar", "beam", "beams", "ray", "rays", "d", "dist"))
+
+
+def folded_up(file: TextTable) -> TextTable | None:
+    """A table with a row for each beam, its angle and its range, as one with a row for each scan, at the middle step
+    between the angles; scans change with a stamp or number, or where angles begin anew. None of any other table.
+    """
+    words = [{*words_of(name)[0]} for name in file.names] if file.named else []
+    at, far = ([k for k, of in enumerate(words) if of & known] for known in (LISTED, FAR))
+    if len(at) != 1 or len(far) != 1 or not all(is_number(row[k]) for row in file.rows for k in (*at, *far)):
+        return None
+    angle, distance = (np.array([row[k] for row in file.rows], float) for (k,) in (at, far))
+    key = next((k for k, of in enumerate(words) if of & {*STAMP, "scan", "frame", "revolution"}), at[0])
+    anew = np.array([a[key] != b[key] for a, b in pairwise([file.rows[-1], *file.rows])])
+    if key == at[0] or len(file) < BEAMS * anew.sum():
+        anew = np.diff(angle, prepend=np.inf) < 0.0
+    anew[0] = True
+    first = np.flatnonzero(anew)
+    of, count = np.cumsum(anew) - 1, np.diff(first, append=len(angle))
+    step = float(np.median(np.abs(np.diff(angle))))
+    place = np.rint((angle - angle.min()) / (step or 1.0)).astype(int)
+    if len(first) < 2 or np.median(count) < BEAMS or not step or place.max() > MOST:
+        return None
+    ranges = np.full((len(first), place.max() + 1), np.nan)
+    ranges[of, place] = distance
+    unit = words_of(file.names[at[0]])[1] or ("deg" if float(np.ptp(angle)) > TURNS[0] else "rad")
+    reach = 1.001 * float(distance[np.isfinite(distance)].max())
+    known = {f"angle_min_{unit}": angle.min(), f"angle_increment_{unit}": step, "range_max": reach}
+    rest = [k for k in range(len(file.names)) if k not in (*at, *far)]
+    names = (*(file.names[k] for k in rest), *known, *map("range_{}".format, range(len(ranges.T))))
+    before = ((*(file.rows[k][j] for j in rest), *(repr(float(v)) for v in known.values())) for k in first.tolist())
+    rows = tuple((*own, *map(repr, row)) for own, row in zip(before, ranges.tolist(), strict=True))
+    cut = f"inferred: {len(rows)} scans, a row for each beam, in steps of {step:.4g} {unit}"
+    return replace(file, names=names, rows=rows, line=file.line[first], cut=cut)
+
+
+FAR, MOST = frozenset(("range", "distance", "dist")), 4000  # Words of a range; most beams of a scan
 
 
 def _listed_angles(file: TextTable, beams: Sequence[int], columns: Columns) -> Array | None:

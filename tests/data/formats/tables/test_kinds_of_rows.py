@@ -135,6 +135,19 @@ def test_scans_of_an_array_beside_the_odometry_have_the_angles_of_another(conver
     assert log.recorded.increments.covariance[1, 0, 0] > 0.001
 
 
+@pytest.mark.parametrize(("stamp", "title"), [("{k}", "time"), ("{k}.{i:03d}", "time"), ("{k}", "scan")])
+def test_a_row_for_each_beam_is_folded_into_scans(read, stamp, title):
+    """Of a stamp or number for each scan or each beam, some of which return nothing; without an odometry."""
+    far = 1.0 + np.arange(800.0).reshape(20, 40) / 200.0
+    rows = [f"{stamp.format(k=k, i=i)},{9 * i},{1000 * far[k, i]}" for k in range(20) for i in range(40) if (i + k) % 7]
+    log, said = read({"beams.csv": f"{title},angle_deg,distance_mm\n" + "\n".join(rows)}, "--unit", "scans.range=mm")
+    found = log.recorded.scans
+    assert found.ranges.shape == (20, 40)
+    assert found.ranges[found.ranges > 0.0] == pytest.approx(far[(np.arange(40) + np.arange(20)[:, None]) % 7 > 0])
+    assert (found.scanner.angle_min, found.scanner.angle_step) == pytest.approx((0.0, np.radians(9.0)))
+    assert "20 scans, a row for each beam, in steps of 9 deg" in said
+
+
 def test_scans_beyond_the_odometry_are_left_out_and_said_and_their_stamps_are_used(read):
     text = "t,range0,range1,range2\n" + "".join(f"{0.5 * k},1,2,3\n" for k in range(-2, 9))
     files = {"odo.csv": "t,x,y,theta\n0,0,0,0\n1,1,0,0\n2,2,0,0\n", "scans.csv": text}
