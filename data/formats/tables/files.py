@@ -642,6 +642,27 @@ def kinds_by_part(path: Path) -> dict[str, Path]:
 COMMANDED = frozenset(("cmd", "command", "commanded", "control", "input"))  # Beside measured speeds not taken
 
 
+THRUN = [re.compile(rf"(d|delta)?{end}") for end in ("rot(ation)?1", "trans(lation)?", "rot(ation)?2")]
+
+
+def stepped(file: TextTable) -> TextTable:
+    """A table of turns, ways and turns (rot1, trans, rot2; Thrun et al., Probabilistic Robotics, table 5.5) with these
+    as steps dx, dy, dtheta, too; any other as it is.
+    """
+    names = ["".join(words_of(name)[0]) for name in file.names] if file.named else []
+    found = [[k for k, name in enumerate(names) if word.fullmatch(name)] for word in THRUN]
+    if not all(len(of) == 1 for of in found):
+        return file
+    every = np.ones(len(file), bool)
+    first, way, second = (file.numbers(k, every) for (k,) in found)
+    unit = ANGLE.get(words_of(file.names[found[0][0]])[1], 1.0)
+    steps = np.stack([way * np.cos(unit * first), way * np.sin(unit * first), unit * (first + second)], axis=-1)
+    rows = tuple((*row, *map(repr, step)) for row, step in zip(file.rows, steps.tolist(), strict=True))
+    told = f"inferred: {', '.join(file.names[k] for (k,) in found)} are a turn, a way and a turn"
+    own = ("" if [k] in found else name for k, name in enumerate(file.names))
+    return replace(file, names=(*own, "dx", "dy", "dtheta"), rows=rows, cut="; ".join(filter(None, (file.cut, told))))
+
+
 def quantity_of(key: str) -> str:
     """A key of `--columns` or `--unit`, where its quantity has another usual name with this quantity's own."""
     role, dot, name = key.rpartition(".")

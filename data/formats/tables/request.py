@@ -348,6 +348,7 @@ def settle(given: Given) -> Wanted:
         read |= {path: table_files.read_text(path, named.values(), count, seen=seen)} if path not in read else {}
     for path in {files.get(SCANS, files["odometry"])} - {files.get(OBSERVATIONS)}:
         read[path] = folded_up(read[path]) or read[path]
+    read[files["odometry"]] = table_files.stepped(read[files["odometry"]])
     texts = {role: read[path] for role, path in files.items()}
     columns.notes += [f"{path.name}: {table.cut}" for path, table in read.items() if table.cut]
     for role in (r for r in ROLES[1:] if r not in texts):  # further parts in the file of the odometry

@@ -144,6 +144,20 @@ def test_numbers_of_landmarks_stand_anywhere_in_the_names_of_columns(made, names
     assert "inferred: --columns range=" in said
 
 
+def test_a_turn_a_way_and_a_turn_are_a_step(made):
+    turn = np.degrees(0.5 * OMEGA * STEP)
+    rows = ((turn, ARC[0] / np.cos(np.radians(turn)), turn, f) for f in FIXES)
+    log, said = made(
+        {"a.csv": csv("delta_rot1 (deg),delta_trans,delta_rot2 (deg),gps_x,gps_y", rows)},
+        "--frames",
+        "odometry",
+        "--fix-sigma",
+        "0.1",
+    )
+    assert "are a turn, a way and a turn" in said
+    assert log.recorded.increments.mean[1] == pytest.approx(ARC, abs=1e-9)
+
+
 def test_labels_are_the_column_that_holds_the_names_of_the_map(made):
     seen, known = SEEN.replace("tag", "node"), KNOWN.replace("tag", "name")
     log, said = made({"odo.csv": MOTION, "seen.csv": seen, "map.csv": known}, *LABELLED[:2], "--map", "map.csv")
