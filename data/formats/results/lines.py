@@ -169,7 +169,7 @@ def in_rows(text: Text, *, named: bool) -> Text:
 
 def in_names(text: Text) -> Text:
     """The text with columns of a place and a quaternion for those named as entries of a matrix or a list, and for cells
-    that hold a list. A matrix that is no rotation is not known.
+    that hold a list. A matrix that is no rotation is not known; of nine entries none is that of a covariance.
     """
     head, *below = text.fields
     wide = [len(_cells(field)) for field in below[0]] if below else []
@@ -183,7 +183,7 @@ def in_names(text: Text) -> Text:
         return text
     for stem, some in groups.items():
         at, word = [j for _, j in sorted(some)], re.split(r"[\W_]", stem)[-1]
-        each = [[row[j] for j in at] + ["0"] * 3 * (len(at) == 9) for row in rows]
+        each = [[row[j] for j in at] + ["0"] * 3 * (len(at) == 9 and word[:1] not in "cCpPsS") for row in rows]
         roles = next((r for w, *of in LISTS for r in of if len(r) == len(at) and re.fullmatch(w, word.lower())), ())
         if how := layout_of(each[:1000]) and layout_of(each):
             P, roles = np.array(each, float)[:, LAYOUTS[how]].reshape(-1, 3, 4), POSE[4 if len(at) == 9 else 1 :]
