@@ -25,7 +25,8 @@ def read_lines(path: Path) -> tuple[list[tuple[int, str]], str, str]:
         text = content.decode("latin-1")
     if "\0" in text:
         raise DataError.at(path, "not a text file; a CSV file is needed")
-    lines, said = _tidied(numbered_rows(text))
+    rows = numbered_rows(text)
+    lines, said = _of_motive(rows) if text.startswith("Format Version") else _tidied(rows)
     return with_word(lines, word), word, said
 
 
@@ -55,6 +56,20 @@ def _tidied(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], str]:
 
 LISTED = ("ranges", "range", "scan", "distances")  # Names that may stand for all beams of a scan
 PROSE = r"\w \w", r"[,:;.!?](\s|$)|\s\d"  # In a line above rows that are separated by a mark, or by spaces alone
+
+
+def _of_motive(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], str]:
+    """Rows of the first rigid body of an export of Motive (OptiTrack), its y, which is up, as z; and what is said."""
+    (_, title), *rows = [(i, [f.strip('" ') for f in line.split(",")]) for i, line in lines if line.strip()]
+    top = next((k for k, (_, row) in enumerate(rows) if row[0].startswith("Frame")), 0)
+    kinds, bodies, parts, axes = (rows[k][1] for k in (0, 1, top - 1, top))
+    unit = next((unit for word, unit in (("Millimeters", "mm"), ("Centimeters", "cm")) if word in title), "m")
+    of, made = dict(zip("XYZW", "yzxw", strict=True)), {1: "t [s]"}
+    for j, (kind, body, part, axis) in enumerate(zip(kinds, bodies, parts, axes, strict=False)):
+        if kind == "Rigid Body" and body == bodies[kinds.index(kind)] and axis in of:
+            made[j] = f"q{of[axis]}" if part == "Rotation" else f"{of[axis]} [{unit}]"
+    said = f"inferred: rigid body {bodies[min(made.keys() - {1}, default=1)]} of Motive, whose y is up and becomes z"
+    return [(0, ",".join(made.values())), *((i, ",".join(r[j] for j in made)) for i, r in rows[top + 1 :])], said
 
 
 def _are_units(fields: Sequence[str]) -> bool:
