@@ -342,6 +342,7 @@ POSES = {
     "three rows": lambda M: "\n\n".join(lines_of(m[:3]) for m in M),
     "lists, w first": lambda M: "t,position,rotation\n" + "\n".join(
         f'{t},"{p.tolist()}",{[w, 0, 0, z]}' for t, p, (z, w) in zip(T, M[:, :3, 3], PLANE.tolist(), strict=True)),
+    "scaled": lambda M: lines_of(T, M[:, :3, 3], 0 * T, 0 * T, 100.0 * PLANE),
     "about z": lambda M: "t x y z qz qw\n" + lines_of(T, M[:, :3, 3], PLANE),
     "angles": lambda M: lines_of(T, M[:, :3, 3], 0 * T, 0 * T, TURN),
     "a topic": lambda M: "__time," + ",".join(

@@ -363,6 +363,11 @@ def path_of(
     absent = C is None and paths.unturned(rows[:, 4:8], rows[:, 1:4])
     if absent:
         rows[:, 4:8] = [0.0, 0.0, 0.0, 1.0]
+    length = np.linalg.norm(rows[:, 4:8], axis=1, keepdims=True)
+    usual = float(np.median(length))
+    if usual > 0.0 and abs(usual - 1.0) > UNIT and (np.abs(length / usual - 1.0) < UNIT).all():
+        rows[:, 4:8] /= length
+        notes += (f"inferred: quaternions are {usual:.4g} times as long as unit ones, and scaled",)
     file, R = str(text.path), rotations(rows[:, 4:8], text.place)
     kind = f"{kind}, {clock.words}"
     s = paths.Spatial(file, kind, time, rows[:, 1:4], R, C, frame, text.place, stated, notes, clock)
