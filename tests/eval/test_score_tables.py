@@ -348,6 +348,9 @@ POSES = {
     "a topic": lambda M: "__time," + ",".join(
         f"/odom/pose/pose/{q}" for q in ("position/x", "position/y", "position/z", "orientation/z", "orientation/w"))
     + "\n" + lines_of(T, M[:, :3, 3], PLANE, separator=","),
+    "COLMAP": lambda M: "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n" + "\n".join(
+        f"{k} {w} 0 0 {-z} {' '.join(map(str, -m[:3, :3].T @ m[:3, 3]))} 1 {k:03d}.png\n1.5 2.5 -1"
+        for k, (m, (z, w)) in enumerate(zip(M, PLANE.tolist(), strict=True))),
     "Motive": lambda M: "Format Version,1.23,Length Units,Millimeters\n\n,Type" + ",Rigid Body" * 7 + ",Marker\n,Name"
     + ",a" * 7 + ",a:1\n," + ",Rotation" * 4 + ",Position" * 4 + "\nFrame,Time,X,Y,Z,W,X,Y,Z,X\n"
     + lines_of(T, T, 0 * T, PLANE[:, 0], 0 * T, PLANE[:, 1], 1e3 * M[:, [1, 2, 0], 3], T, separator=","),

@@ -40,6 +40,7 @@ LAYOUTS = {  # Places in a row of the upper three rows of a 4 x 4 pose
     "by columns": (0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14),
 }  # fmt: skip
 HEIGHTS = ((1, 0), (4, 0), (4, 1), (3, 0), (3, 1))  # Lines of a pose, and above it: of its stamp, or of other numbers
+COLMAP = "images by name; their poses, of the world in the camera, are inverted (`--axes` with robot: as written)"
 CELLS = r"[\[(][^\[\]()]*[\])]|(?<=\d) sec(?=[,;])"  # That are lists; unit of stamps of MATLAB's timetables
 LISTS = (
     ("(p|t|pos|position|trans|translation|loc|location|xyz)s?", ("x", "y"), POSE[1:4]),
@@ -145,6 +146,10 @@ def in_rows(text: Text, *, named: bool) -> Text:
     """The text with a pose's upper three rows in each, where it holds matrices, in one row or in several, behind a
     stamp or not; of arrays with one matrix, whose columns have no names of their own and nobody `named`, without names.
     """
+    if any("IMAGE_ID" in comment for _, comment in text.comments):  # COLMAP: a line of points below each
+        images = sorted((row[-1], k) for k, row in enumerate(text.fields) if not is_number(row[-1]))
+        rows, line = zip(*((text.fields[k], text.line[k]) for _, k in images), strict=True)
+        text = replace(text, fields=rows, line=line, cut=COLMAP)
     stems = [n.rpartition("_") for n in text.fields[0]] if is_arrays(text.path) else []
     if not named and len({stem for stem, _, number in stems if number.isdecimal()} - {""}) == 1:
         full = text.fields[-1]  # without single numbers beside it

@@ -569,6 +569,8 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
         raise DataError.at(path, "a folder; a result is a file, or the folder of a run with online.csv or final.csv")
     else:
         text = lines.in_rows(lines.read_text(path), named=bool(manner.columns))
+        if text.cut.startswith(lines.COLMAP) and not (manner.axes or manner.inverse):
+            manner = replace(manner, inverse=paths.INVERSE[0])
         text = _without_words(text if manner.columns.keys() - {"t"} else lines.in_names(text), manner)
         read = _reader(text, manner)
         found, cov = read(text, manner), read is lines.read_tum
