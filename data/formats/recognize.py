@@ -52,7 +52,7 @@ def _tables(folder: Path) -> str:
     from data.formats.results.reading import words_of
     from data.formats.tables.files import PARTS
 
-    words = {"observations": PARTS["observations"] | RANGES, "odometry": PARTS["odometry"] | MOTION, "map": MAP}
+    words = {"map": MAP, "observations": PARTS["observations"] | RANGES, "odometry": PARTS["odometry"] | MOTION}
     words = {**words, "fixes": PARTS["fixes"], "truth": PARTS["truth"]}
     found: dict[str, str] = {}
     for file in sorted(f for f in folder.iterdir() if f.suffix.lower() in TABLES):

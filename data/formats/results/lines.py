@@ -189,7 +189,10 @@ def in_names(text: Text) -> Text:
     for stem, some in groups.items():
         at, word = [j for _, j in sorted(some)], re.split(r"[\W_]", stem)[-1]
         each = [[row[j] for j in at] + ["0"] * 3 * (len(at) == 9 and word[:1] not in "cCpPsS") for row in rows]
-        roles = next((r for w, *of in LISTS for r in of if len(r) == len(at) and re.fullmatch(w, word.lower())), ())
+        roles = next(
+            (r for w, *of in LISTS for r in of if len(r) == len(at) and re.fullmatch(w, word.lower()) and word != "P"),
+            (),
+        )
         if how := layout_of(each[:1000]) and layout_of(each):
             P, roles = np.array(each, float)[:, LAYOUTS[how]].reshape(-1, 3, 4), POSE[4 if len(at) == 9 else 1 :]
             P[bad := ~(_off(P) < UNIT), :, :3] = np.eye(3)

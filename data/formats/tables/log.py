@@ -752,8 +752,10 @@ def _prior(
         wanted.columns.notes.append(onto.said())
         return Prior(onto.pose, np.diag(onto.sigma**2))
     free = wanted.prior is None and pose is None and known is None
-    turned = fixes is not None and _mirrored(moved, *fixes.placed[:2])
-    start = onto_fixes(fixes, moved.mean, moved.covariance) if free and fixes is not None and not turned else None
+    start = onto_fixes(fixes, moved.mean, moved.covariance) if free and fixes is not None else None
+    hidden = fixes is not None and (start is None or bool((fixes.kind != FixKind.POSITION).any()))  # of other questions
+    turned = hidden and fixes is not None and _mirrored(moved, *fixes.placed[:2])
+    start = None if turned else start
     if start is not None and fixes is not None and _agree(fixes, moved, start.pose):
         fits = way_share(moved, *fixes.placed) is None
         wanted.columns.origins["prior"] = Origin.INFERRED if fits else Origin.ASSUMED
