@@ -151,13 +151,13 @@ def folded_up(file: TextTable) -> TextTable | None:
     first = np.flatnonzero(anew)
     of, count = np.cumsum(anew) - 1, np.diff(first, append=len(angle))
     step = float(np.median(np.abs(np.diff(angle))))
-    place = np.rint((angle - angle.min()) / (step or 1.0)).astype(int)
-    if len(first) < 2 or np.median(count) < BEAMS or not step or place.max() > MOST:
+    if len(first) < 2 or np.median(count) < BEAMS or not 0.0 < np.ptp(angle) <= MOST * step:  # or blank
         return None
+    place = np.rint((angle - angle.min()) / step).astype(int)
     ranges = np.full((len(first), place.max() + 1), np.nan)
     ranges[of, place] = distance
     unit = words_of(file.names[at[0]])[1] or ("deg" if float(np.ptp(angle)) > TURNS[0] else "rad")
-    reach = 1.001 * float(distance[np.isfinite(distance)].max())
+    reach = 1.001 * float(distance[np.isfinite(distance)].max(initial=0.0))
     known = {f"angle_min_{unit}": angle.min(), f"angle_increment_{unit}": step, "range_max": reach}
     rest = [k for k in range(len(file.names)) if k not in (*at, *far)]
     names = (*(file.names[k] for k in rest), *known, *map("range_{}".format, range(len(ranges.T))))
