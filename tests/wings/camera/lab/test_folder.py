@@ -41,7 +41,7 @@ def test_an_image_that_cannot_be_read_and_a_wrong_number_of_images_are_named(tmp
     handmade.refuse(folder, r"landmark: missing; a folder with one reference image per picture")
 
 
-def test_a_lab_folder_is_known_by_what_it_holds(tmp_path: Path) -> None:
+def test_a_lab_folder_is_known_by_what_it_holds_be_it_reference_images_or_a_log_alone(tmp_path: Path) -> None:
     folder = handmade.lab(tmp_path / "lab")
     assert is_lab(folder)
     assert not is_lab(tmp_path / "nowhere")
@@ -56,9 +56,6 @@ def test_a_lab_folder_is_known_by_what_it_holds(tmp_path: Path) -> None:
     (folder / "settings.mat").rename(other / "a.mat")
     assert is_lab(other)
     assert is_lab(folder)
-
-
-def test_a_folder_with_reference_images_alone_or_a_log_alone_is_one_with_a_fault(tmp_path: Path) -> None:
     pictures, log, neither = tmp_path / "pictures", tmp_path / "log", tmp_path / "neither"
     (pictures / "landmark").mkdir(parents=True)
     assert is_lab(pictures)

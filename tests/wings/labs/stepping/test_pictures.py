@@ -96,7 +96,7 @@ def test_an_enlarged_frame_shows_a_wrong_observation_its_landmark_and_the_right_
 
 
 @pytest.mark.slow
-def test_another_method_gets_a_panel_of_its_own_and_one_without_decisions_says_why():
+def test_another_method_gets_a_panel_of_its_own_one_without_decisions_says_why_and_without_truth_they_are_counted():
     m = problem()
     more = {**m.decisions, "ml": "singular innovation covariance", "gnn": m.decisions["nn"]}
     truth = {**m.truth, "gnn": m.truth["nn"]}
@@ -104,11 +104,6 @@ def test_another_method_gets_a_panel_of_its_own_and_one_without_decisions_says_w
     assert len(fig.axes) == 6
     assert titles(fig)[3] == "ML: singular innovation covariance"
     assert titles(fig)[5].startswith("GNN (updates): TP 1")
-
-
-@pytest.mark.slow
-def test_without_truth_decisions_are_counted_instead_of_judged():
-    m = problem()
     decisions = {name: d for name, d in m.decisions.items() if name != "truth"}
     fig = painted(pictures.paint_matching, dataclasses.replace(m, decisions=decisions, truth={}, right=None))
     assert titles(fig)[0] == "NN: 2 paired, 1 new, 0 discarded"

@@ -143,8 +143,6 @@ def test_a_run_that_stopped_says_where_and_tells_no_step_after_it():
 
 
 LAB = Setup(new_gate=0.99)
-
-
 RULE = "-" * 62
 
 
