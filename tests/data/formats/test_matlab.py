@@ -105,10 +105,9 @@ def test_types_that_make_scipy_read_memory_that_is_not_its_own_are_damage(tmp_pa
         load(path, ["x"])
 
 
-@pytest.mark.parametrize(
-    "content",
-    [b"", b"just text, but long enough to hold a header" * 9, b"MATLAB 5.0".ljust(124) + b"\x00\x07IM" + bytes(500)],
-)
+@pytest.mark.parametrize("content", [
+    b"", b"just text, but long enough to hold a header" * 9, b"MATLAB 5.0".ljust(124) + b"\x00\x07IM" + bytes(500),
+])  # fmt: skip
 def test_a_file_of_another_kind_or_none_is_named(tmp_path, content):
     path = tmp_path / "x.mat"
     path.write_bytes(content)

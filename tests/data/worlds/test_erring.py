@@ -8,10 +8,9 @@ from data.worlds.registry import named_log
 from tests.data.worlds.samples import agrees
 
 
-@pytest.mark.parametrize(
-    ("name", "sigma"),
-    [("arena:5", (0.1, 0.02)), ("park:5", (0.1, 0.02)), ("arena:5:sensor=relative_point", (0.1, 0.1))],
-)
+@pytest.mark.parametrize(("name", "sigma"), [
+    ("arena:5", (0.1, 0.02)), ("park:5", (0.1, 0.02)), ("arena:5:sensor=relative_point", (0.1, 0.1)),
+])  # fmt: skip
 def test_readings_have_the_sensors_errors_and_the_noise_as_stated(name, sigma):
     off = named_log(f"{name}{'+' if name.count(':') > 1 else ':'}range_error=0.05+bearing_error=-0.03")
     o, sensor = off.inputs().observations, off.inputs().sensor

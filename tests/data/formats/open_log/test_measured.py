@@ -223,10 +223,9 @@ def test_constant_velocity_on_an_arc_is_what_samples_of_its_velocity_give():
     assert got.covariance[1] == pytest.approx(np.cov(samples), abs=0.03 * np.cov(samples).max())
 
 
-@pytest.mark.parametrize(
-    ("motion", "prior"),
-    [(FORWARD, ForwardPrior(0.5, 0.4, 0.1, 1.0)), (STEADY, ConstantVelocityPrior(0.8, 0.2, 0.1, 0.0, 0.5))],
-)
+@pytest.mark.parametrize(("motion", "prior"), [
+    (FORWARD, ForwardPrior(0.5, 0.4, 0.1, 1.0)), (STEADY, ConstantVelocityPrior(0.8, 0.2, 0.1, 0.0, 0.5)),
+])  # fmt: skip
 def test_a_folder_states_a_prior_in_place_of_increments(small_log_files, save, tmp_path, motion, prior):
     log = load_folder(save(tmp_path / "in", primed(small_log_files, motion)))
     expected = prior.increments(TIMES)

@@ -77,10 +77,9 @@ def test_without_odom_lines_every_scan_is_a_frame_at_the_pose_of_its_line(load):
     assert log.recorded.time[0] == 3.0
 
 
-@pytest.mark.parametrize(
-    ("beams", "first", "last", "step"),
-    [(180, -90, 89, 1), (181, -90, 90, 1), (360, -90, 89.5, 0.5), (361, -90, 90, 0.5), (401, -50, 50, 0.25)],
-)
+@pytest.mark.parametrize(("beams", "first", "last", "step"), [
+    (180, -90, 89, 1), (181, -90, 90, 1), (360, -90, 89.5, 0.5), (361, -90, 90, 0.5), (401, -50, 50, 0.25),
+])  # fmt: skip
 def test_the_number_of_beams_says_where_they_point(beams, first, last, step):
     low, between = np.degrees(beams_of(beams))
     assert [low, low + (beams - 1) * between, between] == pytest.approx([first, last, step])
