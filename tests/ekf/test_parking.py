@@ -240,11 +240,9 @@ def test_a_small_map_and_filters_that_move_everything_are_left_alone(park, monke
 
 
 SENSORS = [
-    RangeBearing(),
-    RangeBearing(rotation=0.3, translation=(0.4, -0.2)),
-    RelativePoint(translation=(0.5, 0.0)),
+    RangeBearing(), RangeBearing(rotation=0.3, translation=(0.4, -0.2)), RelativePoint(translation=(0.5, 0.0)),
     Line(translation=(0.3, 0.1)),
-]
+]  # fmt: skip
 
 
 @settings(max_examples=examples(20), deadline=None)

@@ -35,10 +35,8 @@ def test_a_world_without_errors_says_so_and_its_source_stays_as_it_was():
 def test_every_world_refuses_the_same_errors_and_names_itself(world):
     for error, said in (
         ("scale=0.9", "scale = 0.9; an error from -0.5 to 0.5 is needed"),
-        ("left=-0.51", "left = -0.51; an error from"),
-        ("right=0.51", "right = 0.51; an error from"),
-        ("range_error=1.1", "range_error = 1.1; an error from"),
-        ("drift=-0.01", "drift = -0.01; must not be negative"),
-    ):
+        ("left=-0.51", "left = -0.51; an error from"), ("right=0.51", "right = 0.51; an error from"),
+        ("range_error=1.1", "range_error = 1.1; an error from"), ("drift=-0.01", "drift = -0.01; must not be negative"),
+    ):  # fmt: skip
         with pytest.raises(UsageError, match=f"^{world}: {said}"):
             named_log(f"{world}:0:{error}")

@@ -304,8 +304,6 @@ def test_hundred_robots_are_as_consistent_as_their_exchange():
             own.append(np.nanmean(consistency.nees(run.online.pose, run.online.covariance, log.truth.pose, "pose")))
         means[exchange] = consistency.verdict(np.array(own), 3)
     assert {exchange: v.word for exchange, v in means.items()} == {
-        "joint": consistency.CONSISTENT,
-        "naive": consistency.OVERCONFIDENT,
-        "intersection": consistency.CONSERVATIVE,
-    }
+        "joint": consistency.CONSISTENT, "naive": consistency.OVERCONFIDENT, "intersection": consistency.CONSERVATIVE,
+    }  # fmt: skip
     assert means["naive"].lower > 4.0

@@ -70,11 +70,9 @@ class TestWhereTheFilesAre:
     def test_folder_subfolder_and_zip_give_the_same_log(self, files, tmp_path):
         save_folder(tmp_path / "top" / "MRCLAM_Dataset77", files)
         sources = [
-            save_folder(tmp_path / "flat", files),
-            tmp_path / "top",
-            save_zip(tmp_path / "a.zip", files),
+            save_folder(tmp_path / "flat", files), tmp_path / "top", save_zip(tmp_path / "a.zip", files),
             save_zip(tmp_path / "b.zip", files, top=""),
-        ]
+        ]  # fmt: skip
         logs = [load_mrclam(s, 1) for s in sources]
         for log in logs[1:]:
             np.testing.assert_array_equal(log.recorded.increments.mean, logs[0].recorded.increments.mean)
@@ -99,11 +97,9 @@ class TestWhereTheFilesAre:
         for n in (1, 2):
             save_folder(tmp_path / "two" / f"MRCLAM_Dataset{n}", files)
         for name, why in (
-            ("text.zip", "not a readable zip"),
-            ("empty", "Barcodes.dat: no such file"),
-            ("two", "more than one dataset"),
-            ("nothing", "no such folder"),
-        ):
+            ("text.zip", "not a readable zip"), ("empty", "Barcodes.dat: no such file"),
+            ("two", "more than one dataset"), ("nothing", "no such folder"),
+        ):  # fmt: skip
             with pytest.raises(DataError, match=why):
                 load_mrclam(tmp_path / name, 1)
             assert not is_mrclam(tmp_path / name)
@@ -217,8 +213,7 @@ class TestFaults:
 
     @pytest.mark.parametrize(("name", "row", "words"), [
         (MEASURED, "T 94 -0.5 0.1", ("column range", "negative")),
-        (MEASURED, "T 94 0.5 nan", ("column bearing", "not a number")),
-        (ODOMETRY, "T 0.1", ("2 fields where 3",)),
+        (MEASURED, "T 94 0.5 nan", ("column bearing", "not a number")), (ODOMETRY, "T 0.1", ("2 fields where 3",)),
         (ODOMETRY, "T fast 0.2", ("column forward velocity", "'fast'")),
         (TRUTH, "T 0.1 inf 0.2", ("column y", "not a number")),
         ("Barcodes.dat", "6 63", ("column subject", "is in two rows")),

@@ -243,11 +243,7 @@ def test_a_folder_states_a_prior_in_place_of_increments(small_log_files, save, t
 
 @pytest.mark.parametrize(("old", "new", "message"), [
     ('"forward"', '"backward"', r"\[motion\] prior = 'backward': unknown; known: forward, constant_velocity"),
-    (
-        '"forward"',
-        '"constant_velocity"',
-        r"\[motion\] step_mean = 0.5: prior = 'constant_velocity' takes velocity,",
-    ),
+    ('"forward"', '"constant_velocity"', r"\[motion\] step_mean = 0.5: prior = 'constant_velocity' takes velocity,"),
     ("step_mean = 0.5", "", r"\[motion\] step_mean: missing; a number is needed"),
     ("step_sigma = 0.4", "step_sigma = -0.4", r"\[motion\] step_sigma = -0.4: a number >= 0"),
 ])  # fmt: skip

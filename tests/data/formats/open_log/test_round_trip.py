@@ -232,9 +232,7 @@ def test_a_log_from_arrays_is_the_log_of_the_same_numbers_in_a_folder(tmp_path):
     again = slamref.Log.from_arrays(
         "arena_3", (r.prior.mean, r.prior.covariance),
         {
-            "kind": "range_bearing",
-            "max_range": r.sensor.max_range,
-            "min_angle": r.sensor.min_angle,
+            "kind": "range_bearing", "max_range": r.sensor.max_range, "min_angle": r.sensor.min_angle,
             "max_angle": r.sensor.max_angle,
         },
         np.column_stack([o.frame, o.z]), increments=r.increments.mean, covariance=r.increments.covariance, time=r.time,
@@ -262,8 +260,7 @@ def test_one_covariance_holds_for_all_frames_but_the_first():
     ({"time": [0.0, 1.0, 1.0]}, "mine: increments:2: column t: 1 follows 1.0; t must increase"),
     ({"covariance": None}, "increments need a covariance"),
     ({"covariance": [[1.0, 2.0, 0], [0, 1.0, 0], [0, 0, 1.0]]}, "mine: covariance: not symmetric"),
-    ({"truth": np.zeros((2, 3))}, "mine: truth:1: 2 rows for 3 frames"),
-    ({"sensor": {"kind": "sonar"}}, "sonar"),
+    ({"truth": np.zeros((2, 3))}, "mine: truth:1: 2 rows for 3 frames"), ({"sensor": {"kind": "sonar"}}, "sonar"),
     ({"odometry": np.zeros((3, 3))}, "either increments or odometry is needed"),
     ({"label": [1, 2]}, r"label has shape \(2,\); \(3,\) is needed"),
 ])  # fmt: skip

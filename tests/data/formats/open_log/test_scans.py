@@ -67,8 +67,7 @@ def test_a_laser_log_needs_neither_observations_nor_a_sensor(folder):
 
 
 @pytest.mark.parametrize(("content", "message"), [
-    (b"", "not an npz file of plain arrays"),
-    (npz(frame=FRAME), "column ranges: no such array; found frame"),
+    (b"", "not an npz file of plain arrays"), (npz(frame=FRAME), "column ranges: no such array; found frame"),
     (npz(frame=FRAME, ranges=RANGES, extra=FRAME), "column extra: unknown array; known: frame, ranges"),
     (npz(frame=FRAME, ranges=RANGES.astype(object)), "not an npz file of plain arrays .*pickle"),
     (npz(frame=FRAME, ranges=RANGES[:2]), r"column ranges: float64 of shape \(2, 3\); numbers \(3, B\)"),

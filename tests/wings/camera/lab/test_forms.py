@@ -110,8 +110,7 @@ def test_a_refused_pickle_runs_nothing(tmp_path: Path, monkeypatch: pytest.Monke
     (np.array([1, "two"], object), r"\[0\]: a int; a dict of the frame's fields is needed"),
     (np.array(7, object), "holds one int; a list of dicts, one per frame, or a dict of arrays"),
     (np.array({"rgb": 1}, object), "the log has no timestamp"),
-    (np.array([{"rgb": 1}], object), "the log has no timestamp"),
-    (np.array([], object), "the log has no timestamp"),
+    (np.array([{"rgb": 1}], object), "the log has no timestamp"), (np.array([], object), "the log has no timestamp"),
 ])  # fmt: skip
 def test_trusted_objects_of_another_shape_are_refused(tmp_path: Path, content: Any, said: str) -> None:
     folder = handmade.lab(tmp_path / "lab", form="")

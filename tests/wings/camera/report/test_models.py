@@ -94,11 +94,9 @@ def test_the_evaluator_of_formulas_knows_arithmetic():
 
 AFTER_X, AFTER_U = (rf"\dfrac{{\partial f}}{{\partial \mathbf{{{of}}}}} =" for of in "xu")  # motion
 MOTIONS = [
-    ((1.0, -2.0, 0.4), (0.3, 0.5), 0.25),
-    ((0.0, 3.0, np.pi - 0.01), (0.8, 1.5), 0.1),
-    ((-4.0, 0.2, -2.9), (-0.5, -0.9), 0.5),
-    ((2.0, 2.0, 1.6), (0.4, 1e-3), 0.2),
-]
+    ((1.0, -2.0, 0.4), (0.3, 0.5), 0.25), ((0.0, 3.0, np.pi - 0.01), (0.8, 1.5), 0.1),
+    ((-4.0, 0.2, -2.9), (-0.5, -0.9), 0.5), ((2.0, 2.0, 1.6), (0.4, 1e-3), 0.2),
+]  # fmt: skip
 
 
 def moved(pose: np.ndarray, control: np.ndarray, dt: float) -> np.ndarray:

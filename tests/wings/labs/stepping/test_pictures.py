@@ -76,12 +76,9 @@ def test_the_field_of_view_is_what_the_sensor_says_is_in_view():
 def test_matching_shows_all_methods_side_by_side_with_their_counts_and_marks_the_one_that_updates():
     fig = painted(pictures.paint_matching, problem())
     assert titles(fig) == [
-        "ground truth: 2 paired, 1 new, 0 discarded",
-        "NN: TP 1  TN 1  FP 1  FN 0",
-        "SINGLES: TP 1  TN 1  FP 1  FN 0",
-        "ML: TP 1  TN 1  FP 1  FN 0",
-        "JCBB (updates): TP 1  TN 1  FP 1  FN 0",
-    ]
+        "ground truth: 2 paired, 1 new, 0 discarded", "NN: TP 1  TN 1  FP 1  FN 0", "SINGLES: TP 1  TN 1  FP 1  FN 0",
+        "ML: TP 1  TN 1  FP 1  FN 0", "JCBB (updates): TP 1  TN 1  FP 1  FN 0",
+    ]  # fmt: skip
     assert [ax.spines["left"].get_linewidth() > 1.5 for ax in fig.axes] == [False] * 4 + [True]
     # landmarks that somebody may be paired with are named; the wrong observation is in every method's panel, all of
     # them in the first

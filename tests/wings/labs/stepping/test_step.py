@@ -185,8 +185,7 @@ def test_an_interrupt_while_a_file_is_written_leaves_no_part_of_it(tmp_path, mon
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
-    ([], "no log: one log is needed"),
-    (["--log", "nowhere"], "no such log or folder"),
+    ([], "no log: one log is needed"), (["--log", "nowhere"], "no such log or folder"),
     (["--log", "corridor:0", "--log", "arena:0"], "one log is needed"),
     (["--log", "corridor:0", "--gate", "1"], "between 0 and 1"),
     (["--log", "corridor:0", "--gate", ""], "a number is needed"),

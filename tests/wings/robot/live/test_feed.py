@@ -193,14 +193,8 @@ def test_a_foreign_host_is_refused(server):
     port = urlsplit(server.address).port
     ours = f"127.0.0.1:{port}"
     for host in (
-        "evil.example",
-        f"evil.example:{port}",
-        "127.0.0.1",
-        f"{ours}1",
-        "",
-        f"localhost.x:{port}",
-        f"x@{ours}",
-    ):
+        "evil.example", f"evil.example:{port}", "127.0.0.1", f"{ours}1", "", f"localhost.x:{port}", f"x@{ours}",
+    ):  # fmt: skip
         for path in ("/", "/chunks", "/nowhere"):
             answer, text = ask(server, path, Host=host)
             assert answer.status == 403, host
