@@ -14,11 +14,9 @@ METHODS = "known,nn,gnn,jcbb,jcbb-hindsight"
 COMMANDS = {
     "arena": ("run", "arena:0", "--task", "localization,slam"),
     "methods": ("run", "corridor:0:people", "--task", "slam", "--estimator", "ekf,batch", "--association", METHODS),
-    "laser": ("run", "floorplan:0"),
-    "twins": ("run", "arena:0", "--task", "slam", "--twins", "19"),
-    "study": ("study", "circle", "--runs", "5"),
-    "lab": ("lab", "corridor:3"),
-}
+    "laser": ("run", "floorplan:0"), "twins": ("run", "arena:0", "--task", "slam", "--twins", "19"),
+    "study": ("study", "circle", "--runs", "5"), "lab": ("lab", "corridor:3"),
+}  # fmt: skip
 """Result folders that pages are taken of."""
 PAGES = {
     "arena": "arena/report.html", "arena-details": "arena/details/*.html", "methods": "methods/report.html",

@@ -104,12 +104,9 @@ def small_files(source: str, sensor: str) -> Files:
         view="field_of_view = 3.0" if polar else "min_angle = -1.0\nmax_angle = 2.0",
     )
     return {
-        "log.toml": toml,
-        f"{source}.csv": _FRAMES if source == "frames" else _ODOMETRY,
-        "observations.csv": _OBSERVATIONS[source],
-        "truth.csv": _TRUTH[source],
-        "landmarks.csv": _LANDMARKS,
-    }
+        "log.toml": toml, f"{source}.csv": _FRAMES if source == "frames" else _ODOMETRY,
+        "observations.csv": _OBSERVATIONS[source], "truth.csv": _TRUTH[source], "landmarks.csv": _LANDMARKS,
+    }  # fmt: skip
 
 
 @pytest.fixture(scope="session")

@@ -22,13 +22,9 @@ def test_inputs_have_no_labels_unless_granted():
 def test_inputs_cannot_be_written_to():
     inputs = simulate(WORLD, 0).inputs(labels=True)
     for array in (
-        inputs.time,
-        inputs.increments.mean,
-        inputs.observations.z,
-        inputs.observations.label,
-        inputs.prior.mean,
+        inputs.time, inputs.increments.mean, inputs.observations.z, inputs.observations.label, inputs.prior.mean,
         inputs.map.xy,
-    ):
+    ):  # fmt: skip
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1
     with pytest.raises(AttributeError):

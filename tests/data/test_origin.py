@@ -21,21 +21,18 @@ STATED = " 1 0 0 1 0 9"
 CARMEN = "".join(f"ODOM {k} 0 0 0 0 0 {k} h {k}\nFLASER 3 1 2 3 0 0 0 0 0 0 {k} h {k}\n" for k in range(3))
 
 
-@pytest.mark.parametrize(
-    ("kind", "text", "flags", "expected"),
-    [
-        ("table", ODOMETRY, TABLE, {"odometry_noise": "given", "observation_noise": "given", "sensor_pose": "assumed",
-                                    "max_range": "inferred"}),
-        ("table", ODOMETRY, (*TABLE, "--sensor-pose=0.1,0,0", "--max-range", "9", "--unit", "time=ms"),
-         {"odometry_noise": "given", "observation_noise": "given", "sensor_pose": "given", "max_range": "given",
-          "units": "given"}),
-        ("g2o", G2O.format(*[STATED] * 3), (), {}),
-        ("g2o", G2O.format("", STATED, STATED), (), {"odometry_noise": "assumed"}),
-        ("g2o", G2O.format(STATED, STATED, ""), (), {"closure_noise": "assumed"}),
-        ("carmen", CARMEN, (), {"odometry_noise": "assumed", "range_noise": "assumed", "sensor_pose": "assumed",
-                                "max_range": "assumed"}),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("kind", "text", "flags", "expected"), [
+    ("table", ODOMETRY, TABLE, {"odometry_noise": "given", "observation_noise": "given", "sensor_pose": "assumed",
+                                "max_range": "inferred"}),
+    ("table", ODOMETRY, (*TABLE, "--sensor-pose=0.1,0,0", "--max-range", "9", "--unit", "time=ms"),
+     {"odometry_noise": "given", "observation_noise": "given", "sensor_pose": "given", "max_range": "given",
+      "units": "given"}),
+    ("g2o", G2O.format(*[STATED] * 3), (), {}),
+    ("g2o", G2O.format("", STATED, STATED), (), {"odometry_noise": "assumed"}),
+    ("g2o", G2O.format(STATED, STATED, ""), (), {"closure_noise": "assumed"}),
+    ("carmen", CARMEN, (), {"odometry_noise": "assumed", "range_noise": "assumed", "sensor_pose": "assumed",
+                            "max_range": "assumed"}),
+])  # fmt: skip
 def test_a_log_keeps_where_its_numbers_come_from(tmp_path, monkeypatch, capsys, kind, text, flags, expected):
     monkeypatch.chdir(tmp_path)
     source = {"table": "a.csv", "g2o": "a.g2o", "carmen": "a.log"}[kind]

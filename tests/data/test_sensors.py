@@ -60,8 +60,7 @@ def test_a_wall_is_where_its_points_are(x, y, theta, d, phi, along, other):
 
 
 @pytest.mark.parametrize(("z", "z_hat", "expected"), [
-    ([0.20, 0.1], [0.15, 0.3], [0.05, -0.2]),
-    ([0.02, 0.1], [0.01, 0.1 - math.pi], [-0.03, 0.0]),
+    ([0.20, 0.1], [0.15, 0.3], [0.05, -0.2]), ([0.02, 0.1], [0.01, 0.1 - math.pi], [-0.03, 0.0]),
     ([2.0, math.pi - 0.1], [2.0, -math.pi + 0.1], [0.0, -0.2]),
 ])  # fmt: skip
 def test_the_innovation_of_a_wall_does_not_depend_on_which_side_it_is_named_from(z, z_hat, expected):

@@ -11,13 +11,11 @@ from pathlib import Path
 import slamref
 
 GROUPS = {
-    "Logs and runs": "open_log Log compare Setup make_estimator",
-    "Association": "decide Expectation NEW DISCARD",
+    "Logs and runs": "open_log Log compare Setup make_estimator", "Association": "decide Expectation NEW DISCARD",
     "Scores": "Trial score judge Judgement score_files notices Notice sentence",
-    "Many logs, and logs without ground truth": "study Study twins Diagnosis",
-    "Factor graphs": "audit",
+    "Many logs, and logs without ground truth": "study Study twins Diagnosis", "Factor graphs": "audit",
     "Your own code": "Samples check_estimator check_association estimator_findings association_findings",
-}
+}  # fmt: skip
 CONSTANTS = {
     "NEW": "The decision about an observation that initializes a landmark.",
     "DISCARD": "The decision about an observation that no estimator uses.",

@@ -9,12 +9,9 @@ from jinja2 import Environment
 from eval.referee.result_files import BLANKS, DIFFERENCES, OF_LOGS, OF_RUNS, OTHERS, TOP, Column, File
 
 PARTS = {
-    "At the top": TOP,
-    "Of each run": OF_RUNS,
-    "Of each log": OF_LOGS,
-    "For readers": OTHERS,
+    "At the top": TOP, "Of each run": OF_RUNS, "Of each log": OF_LOGS, "For readers": OTHERS,
     "In Python only": (DIFFERENCES,),
-}
+}  # fmt: skip
 
 
 def page() -> str:

@@ -86,12 +86,9 @@ def test_every_file_and_column_is_described(made, request):
 def test_every_estimator_and_phase_has_its_row_with_numbers(numbers):
     metrics = rows(numbers / "metrics.csv")
     phases = {
-        "dead-reckoning": ["online"],
-        "ekf": ["online"],
-        "isam2": ["online", "final"],
-        "batch": ["final"],
+        "dead-reckoning": ["online"], "ekf": ["online"], "isam2": ["online", "final"], "batch": ["final"],
         "batch-huber": ["final"],
-    }
+    }  # fmt: skip
     for task in ("localization", "slam"):
         for estimator, expected in phases.items():
             mine = [r for r in metrics if (r["task"], r["estimator"]) == (task, estimator)]
@@ -144,12 +141,10 @@ def test_same_inputs_and_seed_give_the_same_bytes_with_any_number_of_processes_a
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
-    (["--log", "no_such_log"], "no such log or folder"),
-    (["--log", "arena:x"], "whole number"),
+    (["--log", "no_such_log"], "no such log or folder"), (["--log", "arena:x"], "whole number"),
     (["--log", "victoria-park", "--task", "localization"], "has no map"),
     (["--log", "arena:0", "--log", "arena:0"], "two logs are named 'arena:0'"),
-    (["--log", "arena:0", "--task", "localization", "--maintain"], "for slam"),
-    (["--log", "."], "log.toml"),
+    (["--log", "arena:0", "--task", "localization", "--maintain"], "for slam"), (["--log", "."], "log.toml"),
     (["--data", "no_such_folder"], "no such folder"),
 ])  # fmt: skip
 def test_bad_input_is_one_line_and_exit_2_and_leaves_nothing(arguments, words, tmp_path, capfd):

@@ -8,11 +8,9 @@ from data.pose_measurements import Closures, Fixes, FixKind, FixSource
 from ekf.filter import FilterOptions
 
 VARIANTS = {
-    "plain": FilterOptions(),
-    "iterated": FilterOptions(iterations=10),
-    "fej": FilterOptions(first_estimates=True),
+    "plain": FilterOptions(), "iterated": FilterOptions(iterations=10), "fej": FilterOptions(first_estimates=True),
     "invariant": FilterOptions(invariant=True),
-}
+}  # fmt: skip
 ENTRIES = {FixKind.POSITION: [0, 1], FixKind.HEADING: [2], FixKind.POSE: [0, 1, 2]}
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 

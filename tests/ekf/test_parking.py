@@ -240,11 +240,9 @@ def test_a_small_map_and_filters_that_move_everything_are_left_alone(park, monke
 
 
 SENSORS = [
-    RangeBearing(),
-    RangeBearing(rotation=0.3, translation=(0.4, -0.2)),
-    RelativePoint(translation=(0.5, 0.0)),
+    RangeBearing(), RangeBearing(rotation=0.3, translation=(0.4, -0.2)), RelativePoint(translation=(0.5, 0.0)),
     Line(translation=(0.3, 0.1)),
-]
+]  # fmt: skip
 
 
 @settings(max_examples=examples(20), deadline=None)
@@ -307,8 +305,11 @@ def mapped():
     return f
 
 
-def test_joining_is_conditioning_on_their_difference_being_zero():
+def test_positions_are_those_of_the_landmarks_asked_for_and_joining_conditions_on_their_difference_being_zero():
     f = mapped()
+    at, cov = f.position(np.array([3, 1]))
+    assert at.tolist() == f.mean[[9, 10, 5, 6]].tolist()
+    assert np.array_equal(cov, f.covariance[np.ix_([9, 10, 5, 6], [9, 10, 5, 6])])
     mean, P = f.mean, f.covariance
     H = np.zeros((4, len(mean)))
     H[:, 11:15], H[:, 3:7] = np.eye(4), -np.eye(4)
@@ -319,18 +320,6 @@ def test_joining_is_conditioning_on_their_difference_being_zero():
     np.testing.assert_allclose(f.covariance, posterior[:11, :11], atol=1e-8)
     assert np.linalg.eigvalsh(f.covariance)[0] > 0.0
     assert np.linalg.eigvalsh(P[:3, :3] - f.covariance[:3, :3])[0] > 0.0
-
-
-def test_joined_landmarks_are_gone_and_numbers_are_not_used_again():
-    f = mapped()
-    f.merge(np.array([5]), np.array([1]))
-    assert f.finish().map.number.tolist() == [0, 1, 2, 3, 4]
+    assert f.finish().map.number.tolist() == [0, 1, 2, 3]
     again = f.update(FrameObservations(np.array([[9.0, 0.0]]), R[None]), np.array([NEW]))
-    assert again.created.tolist() == [6]
-
-
-def test_positions_are_those_of_the_landmarks_asked_for():
-    f = mapped()
-    mean, P = f.position(np.array([3, 1]))
-    assert mean.tolist() == f.mean[[9, 10, 5, 6]].tolist()
-    assert np.array_equal(P, f.covariance[np.ix_([9, 10, 5, 6], [9, 10, 5, 6])])
+    assert again.created.tolist() == [6], "numbers are not used again"

@@ -17,11 +17,9 @@ from tests.builders.estimators import drive, ekf_of
 from tests.ekf.test_systematic import ALL, ODOMETRY
 
 VARIANTS = {
-    "stacked": DEFAULT,
-    "iterated": FilterOptions(iterations=5),
-    "first-estimates": FilterOptions(first_estimates=True),
+    "stacked": DEFAULT, "iterated": FilterOptions(iterations=5), "first-estimates": FilterOptions(first_estimates=True),
     "invariant": FilterOptions(invariant=True),
-}
+}  # fmt: skip
 MOUNTED = {"rotation": 0.4, "translation": (0.3, -0.2)}
 
 

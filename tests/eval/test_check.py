@@ -46,8 +46,7 @@ def test_it_prints_a_line_for_each_check_and_says_by_its_status_whether_all_pass
 
 @pytest.mark.parametrize(("asked", "words"), [
     (["./student.py:none"], "no 'none' in student.py; there is good, bad, Filter, make"),
-    (["nothing"], "nothing: unknown; known: dead-reckoning"),
-    (["./nowhere.py:x"], "there is no file ./nowhere.py"),
+    (["nothing"], "nothing: unknown; known: dead-reckoning"), (["./nowhere.py:x"], "there is no file ./nowhere.py"),
     (["gnc"], "gnc: does not work step by step"),
 ])  # fmt: skip
 def test_wrong_usage_is_one_line_and_exit_status_2(asked, words, refused):

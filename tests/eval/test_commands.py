@@ -85,8 +85,7 @@ def test_a_subcommand_is_the_module_under_another_name(name, module):
 
 
 @pytest.mark.parametrize(("name", "wrong", "words"), [
-    ("run", ["--gate", "1"], "slamref: --gate 1: a probability"),
-    ("step", [], "slamref: no log: one log is needed"),
+    ("run", ["--gate", "1"], "slamref: --gate 1: a probability"), ("step", [], "slamref: no log: one log is needed"),
     ("inspect", ["nowhere"], "slamref: nowhere: no such log or folder"),
     ("convert", ["moon"], "slamref convert: argument KIND: moon: unknown"),
 ])  # fmt: skip
@@ -105,11 +104,8 @@ def test_slamref_alone_says_what_it_is_for_and_names_three_commands():
 
 
 @pytest.mark.parametrize(("line", "expected"), [
-    ("slamref ru", {"run "}),
-    ("slamref run --es", {"--estimator "}),
-    ("slamref score --ali", {"--align "}),
-    ("slamref lab --write", {"--write-up "}),
-    ("slamref convert mrc", {"mrclam "}),
+    ("slamref ru", {"run "}), ("slamref run --es", {"--estimator "}), ("slamref score --ali", {"--align "}),
+    ("slamref lab --write", {"--write-up "}), ("slamref convert mrc", {"mrclam "}),
 ])  # fmt: skip
 def test_the_shell_completes_commands_and_flags(line, expected):
     environment = os.environ | {"COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE": "1"}
@@ -144,44 +140,34 @@ def said(tmp_path, monkeypatch, refused):
 
 
 @pytest.mark.parametrize(("line", "hint"), [
-    ("run arena:0 --estimator EKF", "did you mean ekf?"),
-    ("run arena:0 --association JCBB", "did you mean jcbb?"),
+    ("run arena:0 --estimator EKF", "did you mean ekf?"), ("run arena:0 --association JCBB", "did you mean jcbb?"),
     ("run arena:0 --calibrate scal", "did you mean scale?"),
-    ("run arena:0 --estimators ekf", "did you mean --estimator?"),
-    ("run coridor:3", "Did you mean corridor:3?"),
-    ("run arena", "the seed is missing, as in arena:0"),
-    ("run corridor:0:peopel", "did you mean people?"),
+    ("run arena:0 --estimators ekf", "did you mean --estimator?"), ("run coridor:3", "Did you mean corridor:3?"),
+    ("run arena", "the seed is missing, as in arena:0"), ("run corridor:0:peopel", "did you mean people?"),
     ("run arena:0:landmark=3", "did you mean landmarks?"),
     ("run arena:0:sensor=relative-point", "did you mean relative_point?"),
     ("run corridor:0:people,no-odometry", "as in corridor:0:people+no-odometry"),
     ("run corridor:0:frames=8,people", "as in corridor:0:frames=8+people"),
-    ("run arena:0 --gate 9.21", "is --gate 0.99"),
-    ("run arena:0 --new-gate 99.9", "99.9 % is --new-gate 0.999"),
+    ("run arena:0 --gate 9.21", "is --gate 0.99"), ("run arena:0 --new-gate 99.9", "99.9 % is --new-gate 0.999"),
     ("run arena:0 --gate high", "a number is needed, as in --gate 0.5"),
     ("run arena:0 --estimator", "--estimator: expected one argument"),
-    ("run odo.csv", "type slamref convert table odo.csv LOG"),
-    ("study aren", "did you mean arena?"),
+    ("run odo.csv", "type slamref convert table odo.csv LOG"), ("study aren", "did you mean arena?"),
     ("study corridor --runs many", "a whole number is needed, as in --runs 1"),
-    ("lab corridor", "did you mean corridor:0?"),
-    ("step arena:0 --lab", "did you mean --lab-text?"),
-    ("check EKF", "did you mean ekf?"),
-    ("tune arena:0 out --fit nosie", "unknown"),
+    ("lab corridor", "did you mean corridor:0?"), ("step arena:0 --lab", "did you mean --lab-text?"),
+    ("check EKF", "did you mean ekf?"), ("tune arena:0 out --fit nosie", "unknown"),
     ("convert arena out --seeds 3", "did you mean --seed?"),
     ("convert arena out --frames lots", "--frames: invalid int value: 'lots'"),
     ("live --link /dev/x --out y --drive wals", "did you mean walls?"),
-    (f"{TABLE} --unit time=msec", "did you mean ms?"),
-    (f"{TABLE} --unit bearings=deg", "did you mean bearing?"),
+    (f"{TABLE} --unit time=msec", "did you mean ms?"), (f"{TABLE} --unit bearings=deg", "did you mean bearing?"),
     (f"{TABLE} --columns omga=omega", "did you mean omega?"),
     (f"{TABLE} --columns odometri.t=t", "did you mean odometry?"),
     (f"{TABLE} --columns omega=omga", "did you mean omega?"),
     (f"{TABLE} --odometry-kind velocity", "did you mean velocities?"),
-    (f"{TABLE} --odometry-noise densty", "did you mean density?"),
-    (f"{TABLE} --unit v=kmhr", "did you mean km/h?"),
+    (f"{TABLE} --odometry-noise densty", "did you mean density?"), (f"{TABLE} --unit v=kmhr", "did you mean km/h?"),
     (f"{TABLE} --tick-wrap 65536", "of wheel ticks; the odometry has velocities"),
     ("run arena:0 -estimator ekf", "did you mean --estimator?"),
     ("convert table a.csv out --exclude-truth 1:2", "a flag of slamref run, slamref score, slamref convert mrclam"),
-    ("run arena0", "Did you mean arena:0?"),
-    ("runn arena:0", "Did you mean run?"),
+    ("run arena0", "Did you mean arena:0?"), ("runn arena:0", "Did you mean run?"),
     ("benchmark quick", "a word too many"),
 ])  # fmt: skip
 def test_a_slip_is_answered_with_what_is_right(said, line, hint):

@@ -61,10 +61,8 @@ def test_uneven_stamps_and_positions_of_millimetres_leave_one_reading_and_straig
     turn, noise = 0.5 * np.sin(0.5 * t), rng.normal(0, 0.003, (2, n))
     x, y = noise + np.cumsum(0.1 * np.diff(t, prepend=0.0) * np.array([np.cos(turn), np.sin(turn)]), axis=1)
     for columns, read in (
-        ((t, x, y, turn), 4),
-        ((t, 0.1 * t, 0.0 * t, 0.2 + noise[0]), 0),
-        ((t, 0.1 * t, np.sin(t)), 0),
-    ):
+        ((t, x, y, turn), 4), ((t, 0.1 * t, 0.0 * t, 0.2 + noise[0]), 0), ((t, 0.1 * t, np.sin(t)), 0),
+    ):  # fmt: skip
         assert len(only_reading([[f"{v:.6f}" for v in row] for row in zip(*columns, strict=True)])) == read
 
 

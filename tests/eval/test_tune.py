@@ -93,8 +93,7 @@ def test_a_tuned_copy_is_not_tuned_again_but_may_be_replaced(stated, tmp_path, r
     (["--fit", "magic"], "--fit magic: unknown; known: motion"),
     (["--fit", "latency"], "--fit latency: the log has increments (frames.csv), which cannot be cut"),
     (["--fit", "sensor,latency"], "convert it with v and omega, which become odometry.csv"),
-    (["--gate", "1.5"], "a probability"),
-    (["--use", "{stated}"], "not a tuned log"),
+    (["--gate", "1.5"], "a probability"), (["--use", "{stated}"], "not a tuned log"),
     (["--use", "{stated}", "--fit", "sensor"], "not a tuned log"),
 ])  # fmt: skip
 def test_options_that_make_no_sense_are_refused_in_one_line(stated, tmp_path, refused, options, message):

@@ -39,16 +39,13 @@ def run(log):
     return compare(log.inputs(labels=True), "slam", ["ekf"])[0]
 
 
-@pytest.mark.parametrize(
-    ("task", "way"),
-    [
-        ("slam", "nn"), ("slam", "jcbb"), ("localization", "gnn"), ("localization", "ml-ratio"),
-        *(
-            pytest.param(task, w, marks=pytest.mark.slow) for task in ("localization", "slam") for w in WAYS
-            if (task, w) not in {("slam", "nn"), ("slam", "jcbb"), ("localization", "gnn")}
-        ),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("task", "way"), [
+    ("slam", "nn"), ("slam", "jcbb"), ("localization", "gnn"), ("localization", "ml-ratio"),
+    *(
+        pytest.param(task, w, marks=pytest.mark.slow) for task in ("localization", "slam") for w in WAYS
+        if (task, w) not in {("slam", "nn"), ("slam", "jcbb"), ("localization", "gnn")}
+    ),
+])  # fmt: skip
 def test_every_method_without_hindsight_pairs_walls_rightly(log, task, way):
     """All but the ratio test in SLAM, which takes two of three readings for new, whatever landmarks are."""
     (found,) = compare(log.recorded, task, ["ekf"], way)

@@ -139,10 +139,8 @@ def test_an_innovation_after_all_data_is_that_against_the_estimate_without_the_m
             a, c = inputs.closures.frame1[i], inputs.closures.frame2[i]
             z, J1, J2 = expected_closure(path[a], path[c])
             error, R, H = (
-                se2.pose_error(inputs.closures.relative[i], z),
-                inputs.closures.covariance[i],
-                np.zeros((3, len(P))),
-            )
+                se2.pose_error(inputs.closures.relative[i], z), inputs.closures.covariance[i], np.zeros((3, len(P))),
+            )  # fmt: skip
             H[:, 3 * a : 3 * a + 3], H[:, 3 * c : 3 * c + 3] = J1, J2
         S = R + H @ P @ H.T
         of = result.fixes if kind == "fix" else result.closures

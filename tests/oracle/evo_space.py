@@ -27,10 +27,8 @@ def files(folder):
     truth, estimate = poses()
     some = ALONG[:236:2]
     for name, (p, R), time, rows in (
-        ("truth", truth, TIME, ALONG),
-        ("estimate", estimate, TIME, ALONG),
-        ("sparse", estimate, TIME + 0.03, some),
-    ):
+        ("truth", truth, TIME, ALONG), ("estimate", estimate, TIME, ALONG), ("sparse", estimate, TIME + 0.03, some),
+    ):  # fmt: skip
         np.savetxt(folder / f"{name}.tum", np.column_stack([time, p, R.as_quat()])[rows], fmt="%.17g")
 
 

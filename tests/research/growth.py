@@ -104,11 +104,9 @@ def _twins(twins: int) -> Costs:
 
 
 GROWTH: Mapping[str, tuple[Callable[[int], Costs], tuple[int, ...]]] = {
-    "frames": (_frames, (250, 500, 1000, 2000)),
-    "landmarks": (_landmarks, (75, 150, 300, 600, 1200, 2400)),
-    "closures": (_closures, (30, 60, 120, 240, 480)),
-    "twins": (_twins, (5, 10, 20, 40, 80)),
-}
+    "frames": (_frames, (250, 500, 1000, 2000)), "landmarks": (_landmarks, (75, 150, 300, 600, 1200, 2400)),
+    "closures": (_closures, (30, 60, 120, 240, 480)), "twins": (_twins, (5, 10, 20, 40, 80)),
+}  # fmt: skip
 LONG, REPEATS = 1.0, 7
 """s of work, above which it is timed once; else, how often."""
 

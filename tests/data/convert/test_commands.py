@@ -104,8 +104,7 @@ class TestMrclam:
         (["--motion-noise", "displacement"], "--motion-noise displacement needs --motion-alphas"),
         (["--motion-noise", "density", "--motion-alphas", "1", "1", "1", "1"], "--motion-alphas does not go with"),
         (["--motion-noise", "displacement", "--motion-alphas", *"111111"], "takes 4 numbers, not 6"),
-        (["--range-scale", "0"], "range_scale"),
-        (["--landmarks", "nowhere.dat"], "nowhere.dat"),
+        (["--range-scale", "0"], "range_scale"), (["--landmarks", "nowhere.dat"], "nowhere.dat"),
     ])  # fmt: skip
     def test_a_senseless_combination_is_one_line_and_status_2(self, source, tmp_path, refused, flags, why):
         assert why in refused(main, ["mrclam", str(source), str(tmp_path / "out"), "--robot", "1", *flags])

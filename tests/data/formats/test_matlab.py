@@ -52,12 +52,10 @@ def test_other_kinds_are_told(tmp_path):
     cell = np.empty((1, 2), object)
     cell[0, 0], cell[0, 1] = 1.0, 2.0
     kinds = {
-        "word": ("hello", "text"),
-        "cell": (cell, "cell array or objects"),
+        "word": ("hello", "text"), "cell": (cell, "cell array or objects"),
         "sparse": (scipy.sparse.csc_matrix(np.eye(3)), "a sparse matrix"),
-        "s": ({"word": "hello", "n": 4.0}, "a struct"),
-        "yes": (np.array([[True, False]]), "numbers"),
-    }
+        "s": ({"word": "hello", "n": 4.0}, "a struct"), "yes": (np.array([[True, False]]), "numbers"),
+    }  # fmt: skip
     scipy.io.savemat(path, {name: value for name, (value, _) in kinds.items()})
     found = everything(path)
     assert {name: matlab.kind_of(value) for name, value in found.items()} == {n: kind for n, (_, kind) in kinds.items()}
@@ -105,10 +103,9 @@ def test_types_that_make_scipy_read_memory_that_is_not_its_own_are_damage(tmp_pa
         load(path, ["x"])
 
 
-@pytest.mark.parametrize(
-    "content",
-    [b"", b"just text, but long enough to hold a header" * 9, b"MATLAB 5.0".ljust(124) + b"\x00\x07IM" + bytes(500)],
-)
+@pytest.mark.parametrize("content", [
+    b"", b"just text, but long enough to hold a header" * 9, b"MATLAB 5.0".ljust(124) + b"\x00\x07IM" + bytes(500),
+])  # fmt: skip
 def test_a_file_of_another_kind_or_none_is_named(tmp_path, content):
     path = tmp_path / "x.mat"
     path.write_bytes(content)

@@ -172,14 +172,11 @@ def test_what_is_written_is_read_again(tight):
     assert sigma == [getattr(PRIORS[n], "tight" if tight else "wide") for n in ("left", "drift")]
 
 
-@pytest.mark.parametrize(
-    ("value", "read"),
-    [
-        (True, (AUTO,)), (False, ()), ("auto", (AUTO,)), (["auto"], (AUTO,)), (" auto ,", (AUTO,)),
-        ("bearing,scale", ("scale", "bearing")), (["bearing", "scale"], ("scale", "bearing")),
-        (("range = 0.1,drift", "left"), ("left", "drift", "range=0.1")), (" , left,", ("left",)),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("value", "read"), [
+    (True, (AUTO,)), (False, ()), ("auto", (AUTO,)), (["auto"], (AUTO,)), (" auto ,", (AUTO,)),
+    ("bearing,scale", ("scale", "bearing")), (["bearing", "scale"], ("scale", "bearing")),
+    (("range = 0.1,drift", "left"), ("left", "drift", "range=0.1")), (" , left,", ("left",)),
+])  # fmt: skip
 def test_names_come_as_one_text_or_as_a_list_and_are_put_in_their_order(value, read):
     assert read_errors("--calibrate", value) == read
 

@@ -8,10 +8,9 @@ from data.worlds.registry import named_log
 from tests.data.worlds.samples import agrees
 
 
-@pytest.mark.parametrize(
-    ("name", "sigma"),
-    [("arena:5", (0.1, 0.02)), ("park:5", (0.1, 0.02)), ("arena:5:sensor=relative_point", (0.1, 0.1))],
-)
+@pytest.mark.parametrize(("name", "sigma"), [
+    ("arena:5", (0.1, 0.02)), ("park:5", (0.1, 0.02)), ("arena:5:sensor=relative_point", (0.1, 0.1)),
+])  # fmt: skip
 def test_readings_have_the_sensors_errors_and_the_noise_as_stated(name, sigma):
     off = named_log(f"{name}{'+' if name.count(':') > 1 else ':'}range_error=0.05+bearing_error=-0.03")
     o, sensor = off.inputs().observations, off.inputs().sensor
@@ -36,10 +35,8 @@ def test_a_world_without_errors_says_so_and_its_source_stays_as_it_was():
 def test_every_world_refuses_the_same_errors_and_names_itself(world):
     for error, said in (
         ("scale=0.9", "scale = 0.9; an error from -0.5 to 0.5 is needed"),
-        ("left=-0.51", "left = -0.51; an error from"),
-        ("right=0.51", "right = 0.51; an error from"),
-        ("range_error=1.1", "range_error = 1.1; an error from"),
-        ("drift=-0.01", "drift = -0.01; must not be negative"),
-    ):
+        ("left=-0.51", "left = -0.51; an error from"), ("right=0.51", "right = 0.51; an error from"),
+        ("range_error=1.1", "range_error = 1.1; an error from"), ("drift=-0.01", "drift = -0.01; must not be negative"),
+    ):  # fmt: skip
         with pytest.raises(UsageError, match=f"^{world}: {said}"):
             named_log(f"{world}:0:{error}")

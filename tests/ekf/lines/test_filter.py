@@ -110,10 +110,9 @@ def test_two_estimates_of_one_wall_become_one_whichever_normals_they_have(turned
     np.testing.assert_allclose(f.covariance, (P - K @ H @ P)[:7, :7], atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "options",
-    [FilterOptions(invariant=True), FilterOptions(new_variance=1.0), FilterOptions(new_variance_per_square=0.01)],
-)
+@pytest.mark.parametrize("options", [
+    FilterOptions(invariant=True), FilterOptions(new_variance=1.0), FilterOptions(new_variance_per_square=0.01),
+])  # fmt: skip
 def test_what_is_of_points_is_refused_to_walls_in_slam_but_not_in_a_known_map(log, options):
     inputs = log.inputs(labels=True)
     with pytest.raises(ValueError, match="wall"):

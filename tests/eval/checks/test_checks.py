@@ -26,9 +26,7 @@ def test_our_own_estimators_pass_every_check(name):
 
 
 @pytest.mark.parametrize(("off", "passed", "said"), [
-    (0.0, True, "x within 0.001 sigma"),
-    (EXACT, True, "x within"),
-    (1.001 * EXACT, True, "not exact: x only within"),
+    (0.0, True, "x within 0.001 sigma"), (EXACT, True, "x within"), (1.001 * EXACT, True, "not exact: x only within"),
     (APPROXIMATE, True, "not exact: x only within"),
     (1.001 * APPROXIMATE, False, "sigma off where x was expected within"),
 ])  # fmt: skip
@@ -86,8 +84,7 @@ def test_sigma_points_on_both_sides_of_the_seam_are_no_fault(monkeypatch):
     (wrong.in_order, "order of candidates", r"goes to \d+, and to \d+ with the candidates in another order"),
     (wrong.writing, "purity", "it changed expectation.z: work on a copy"),
     (wrong.tossing, "determinism", "the same frame twice: .*; random numbers need a fixed seed"),
-    (wrong.never, "exact observations", ""),
-    (wrong.one_dof, "inside the gate", ""),
+    (wrong.never, "exact observations", ""), (wrong.one_dof, "inside the gate", ""),
 ])  # fmt: skip
 def test_each_check_of_an_association_fails_what_is_wrong_in_its_way(method, name, words):
     loaded = load(text_of(method, "association"))

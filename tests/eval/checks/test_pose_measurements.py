@@ -59,10 +59,9 @@ def test_a_students_filter_passes_and_what_was_found_is_said(task, kind):
     assert "the path with 7 fixes within 0.001 sigma" in found[0].sentence
 
 
-@pytest.mark.parametrize(
-    ("check", "words"),
-    [(estimators.fixes, "it has no `fix`"), (estimators.closures, "it has no `close_loops`")],
-)
+@pytest.mark.parametrize(("check", "words"), [
+    (estimators.fixes, "it has no `fix`"), (estimators.closures, "it has no `close_loops`"),
+])  # fmt: skip
 def test_that_it_has_neither_is_said_and_no_failure(check, words):
     (found,) = lines(check, Plain, "slam")
     assert found.passed

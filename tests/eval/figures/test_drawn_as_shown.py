@@ -49,11 +49,9 @@ FIGURES = {
     "difference": lambda: difference_figure(circle_log(truth=False), [ONLINE], FINAL),
     "claims": lambda: claims_figure(circle_log(truth=False), [WITH_INNOVATIONS, FINAL]),
     "average nees": lambda: anees_figure(np.arange(20.0), {"ekf": np.full(20, 3.0)}, 3, 50),
-    "growth": lambda: growth_figure(circle_log(), [ONLINE]),
-    "log": lambda: log_figure(circle_log()),
-    "outliers": lambda: outlier_figure(OUTLIERS, "arena"),
-    "loops": loops,
-}
+    "growth": lambda: growth_figure(circle_log(), [ONLINE]), "log": lambda: log_figure(circle_log()),
+    "outliers": lambda: outlier_figure(OUTLIERS, "arena"), "loops": loops,
+}  # fmt: skip
 
 
 @cache

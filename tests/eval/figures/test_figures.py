@@ -45,22 +45,16 @@ SITUATIONS = {
     "six phases": (
         circle_log(),
         [
-            FILTER,
-            run_with_error(OFF, estimator="isam2", phases=("online", "final")),
-            SMOOTHER,
-            run_with_error(OFF, estimator="batch-cauchy", phases=("final",)),
-            run_with_error(OFF, association="jcbb"),
+            FILTER, run_with_error(OFF, estimator="isam2", phases=("online", "final")), SMOOTHER,
+            run_with_error(OFF, estimator="batch-cauchy", phases=("final",)), run_with_error(OFF, association="jcbb"),
         ],
     ),
     "nothing ran": (circle_log(truth=False, landmarks=False), []),
-}
+}  # fmt: skip
 FIGURES = {
-    "map": map_figure,
-    "narrow map": lambda log, runs: map_figure(log, runs, width=3.4),
-    "error": error_figure,
-    "nees": nees_figure,
-    "difference": lambda log, runs: difference_figure(log, runs, SMOOTHER),
-}
+    "map": map_figure, "narrow map": lambda log, runs: map_figure(log, runs, width=3.4), "error": error_figure,
+    "nees": nees_figure, "difference": lambda log, runs: difference_figure(log, runs, SMOOTHER),
+}  # fmt: skip
 # kinds that look alike in the other situations
 SHOWN = {
     "narrow map": ("no truth", "six phases"),

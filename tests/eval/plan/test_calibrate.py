@@ -115,8 +115,7 @@ def inputs():
 @pytest.mark.parametrize(("names", "expected"), [
     (("odometry_x_scale",), ("scale",)),
     (("odometry_theta_left", "odometry_theta_curvature"), ("curvature", "left", "right")),
-    (("odometry_y_distance",), ("bearing",)),
-    (("z2_constant", "z1_range"), ("range", "bearing")),
+    (("odometry_y_distance",), ("bearing",)), (("z2_constant", "z1_range"), ("range", "bearing")),
     (("z2_range", "odometry_theta_time", "z1_speed"), ()),
 ])  # fmt: skip
 def test_findings_stand_for_errors_in_their_order(inputs, names, expected):
@@ -152,8 +151,7 @@ def test_a_unit_of_an_error_adds_to_the_odometry_what_a_world_with_that_error_re
 
 
 @pytest.mark.parametrize(("keys", "expected"), [
-    ("", ()),
-    (":curvature=0.03+scale=-0.1", ("scale", "curvature")),
+    ("", ()), (":curvature=0.03+scale=-0.1", ("scale", "curvature")),
     pytest.param(":bearing_error=0.05", ("bearing",), marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_a_log_names_its_errors_without_any_twin(keys, expected):

@@ -37,8 +37,7 @@ def study(members, association=("known",), task=("slam",)):
 
 
 @pytest.mark.parametrize(("code", "words"), [
-    ("F = 3", "mine=./mine.py:F: F is an int"),
-    ("class F: ...", "mine: no method 'predict'"),
+    ("F = 3", "mine=./mine.py:F: F is an int"), ("class F: ...", "mine: no method 'predict'"),
     (f"class F:\n    def __init__(self, prior): ...{VERBS}", r"its constructor takes \(prior\)"),
 ])  # fmt: skip
 def test_what_is_no_estimator_is_refused_wherever_it_stands_among_the_names(write, code, words):

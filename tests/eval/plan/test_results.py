@@ -96,8 +96,7 @@ def test_a_truth_without_stamps_has_a_pose_for_each_frame(tmp_path):
 @pytest.mark.parametrize(("command", "wanted"), [
     (["--log", LOG, "--log", "arena:1", "--result", "a=b.tum"], "--result a=b.tum: belongs to one log"),
     (["--result", "a=b.tum"], "on which log? name one, or type --truth FILE"),
-    (["--truth", "b.tum"], "nothing to score"),
-    (["--log", LOG, "--result", "b.tum"], "NAME=FILE is needed"),
+    (["--truth", "b.tum"], "nothing to score"), (["--log", LOG, "--result", "b.tum"], "NAME=FILE is needed"),
     (["--log", LOG, "--result", "ekf=b.tum"], "ekf is one of our estimators"),
     (["--log", LOG, "--result", "a=b.tum", "--result", "a=c.tum"], "two results are named a"),
     (["--log", LOG, "--result", "a/b=b.tum"], "'a/b' is no name"),

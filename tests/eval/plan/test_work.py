@@ -171,19 +171,12 @@ ROOT = Path(__file__).parents[3]
 
 
 @pytest.mark.parametrize(("words", "small"), [
-    (["arena:0"], True),
-    (["arena:0", "--task", "localization,slam"], True),
+    (["arena:0"], True), (["arena:0", "--task", "localization,slam"], True),
     (["arena:0:frames=60", "corridor:1:people+no-odometry", "linear:0"], True),
-    (["corridor:0:people", "--association", "known,nn,jcbb,jcbb-hindsight"], True),
-    (["arena:0:frames=5000"], False),
-    (["arena:0:landmarks=500"], False),
-    (["circle:0"], False),
-    (["victoria-park"], False),
-    (["arena:0", "--twins", "20"], False),
-    (["arena:0", "--calibrate"], False),
-    (["--lab", "corridor:0"], False),
-    (["--scenario", "arena"], False),
-    ([], False),
+    (["corridor:0:people", "--association", "known,nn,jcbb,jcbb-hindsight"], True), (["arena:0:frames=5000"], False),
+    (["arena:0:landmarks=500"], False), (["circle:0"], False), (["victoria-park"], False),
+    (["arena:0", "--twins", "20"], False), (["arena:0", "--calibrate"], False), (["--lab", "corridor:0"], False),
+    (["--scenario", "arena"], False), ([], False),
 ])  # fmt: skip
 def test_what_is_small_is_known_before_the_log_is_opened(words, small):
     assert first_use.is_small(read_options(words)) == small

@@ -169,10 +169,8 @@ def test_small_images_and_corners_are_those_of_the_recording():
     log = camera_log()
     chunk = scene([Trial(log, "localization", ())], Setup())
     assert chunk["camera"] == {
-        "width": GREY.shape[1],
-        "frames": [0, 2, 4],
-        "images": ["Zmlyc3Q=", "c2Vjb25k", "dGhpcmQ="],
-    }
+        "width": GREY.shape[1], "frames": [0, 2, 4], "images": ["Zmlyc3Q=", "c2Vjb25k", "dGhpcmQ="],
+    }  # fmt: skip
     arrays, found = unpacked(chunk), log.evidence.found
     assert arrays["camera_frame"][:, 0].tolist() == found.frame.tolist()
     assert arrays["camera_picture"][:, 0].tolist() == found.picture.tolist()

@@ -44,12 +44,9 @@ def test_resampled_means_scatter_as_the_stationary_bootstrap_does(block):
 
 
 @pytest.mark.parametrize(("x", "stationary"), [
-    (squares(-0.5, 50, 1, 13)[0], 1.8638037597058494),
-    (squares(0.0, 101, 1, 13)[0], 2.02307657513805),
-    (squares(0.3, 1000, 1, 13)[0], 5.5938061084971205),
-    (squares(0.999, 5000, 1, 13)[0], 160.48225394997152),
-    (np.sin(0.3 * np.arange(1000)), 65.13186691421105),
-    (np.arange(1000) % 7.0, 95.0),
+    (squares(-0.5, 50, 1, 13)[0], 1.8638037597058494), (squares(0.0, 101, 1, 13)[0], 2.02307657513805),
+    (squares(0.3, 1000, 1, 13)[0], 5.5938061084971205), (squares(0.999, 5000, 1, 13)[0], 160.48225394997152),
+    (np.sin(0.3 * np.arange(1000)), 65.13186691421105), (np.arange(1000) % 7.0, 95.0),
 ])  # fmt: skip
 def test_the_block_length_is_that_of_arch(x, stationary):
     """`arch.bootstrap.optimal_block_length` of arch 8.0.0."""
@@ -82,10 +79,7 @@ def test_frames_without_truth_or_nees_are_left_out_and_both_intervals_have_the_l
 
 @pytest.mark.parametrize(("values", "why"), [
     (np.full(200, np.nan), "no frame has a true pose"),
-    (
-        rng().chisquare(2, MIN_FRAMES - 1),
-        f"{MIN_FRAMES - 1} frames with truth are too few, {MIN_FRAMES} are needed",
-    ),
+    (rng().chisquare(2, MIN_FRAMES - 1), f"{MIN_FRAMES - 1} frames with truth are too few, {MIN_FRAMES} are needed"),
     (np.full(200, 0.3), "do not vary"),
     (np.linspace(0.0, 1.0, 200) ** 2, "worth about . independent ones, 20 are needed"),
     (squares(0.99, 200, 1, 7)[0], "independent ones"),

@@ -91,9 +91,9 @@ def test_similar_errors_are_distinguished_jointly(world):
     assert (errors > 0.0).all()
 
 
-def test_a_late_observation_is_from_an_earlier_pose(world):
+def test_a_late_observation_is_from_an_earlier_pose_and_a_displaced_sensor_observes_from_elsewhere(world):
     inputs, path, used = world
-    o, late = inputs.observations, 1e-5
+    o, late, ahead = inputs.observations, 1e-5, 1e-5
     speed = np.gradient(np.column_stack([path[:, :2], np.unwrap(path[:, 2])]), inputs.time, axis=0)
     then = inputs.sensor.predict((path - late * speed)[o.frame], used.landmarks[used.number])
     rate = inputs.sensor.residual(then, o.z) / late
@@ -101,19 +101,13 @@ def test_a_late_observation_is_from_an_earlier_pose(world):
     assert columns["latency"] == pytest.approx(rate, abs=1e-3 * np.abs(rate).max())
     age = inputs.time[o.frame] - inputs.time[0]
     assert columns["latency_growth"] == pytest.approx(rate * age[:, None], abs=1e-3 * np.abs(rate * age[:, None]).max())
-
-
-def test_a_displaced_sensor_observes_from_elsewhere(world):
-    inputs, path, used = world
-    o, ahead = inputs.observations, 1e-5
     moved = path + ahead * np.column_stack([np.cos(path[:, 2]), np.sin(path[:, 2]), np.zeros(len(path))])
     then = inputs.sensor.predict(moved[o.frame], used.landmarks[used.number])
-    columns = {e.name: e.observations for e in effects(inputs, path, used)}
     rate = inputs.sensor.residual(then, o.z) / ahead
     assert columns["mount_x"] == pytest.approx(rate, abs=1e-3 * np.abs(rate).max())
 
 
-def test_increments_that_turn_first_have_chords_along_their_last_heading(world):
+def test_increments_that_turn_first_have_chords_along_their_last_heading_and_none_of_a_current(world):
     inputs, path, used = world
     columns = {e.name: e.motion for e in effects(inputs, path, used)}
     step = between(path[:-1], path[1:])
@@ -121,19 +115,14 @@ def test_increments_that_turn_first_have_chords_along_their_last_heading(world):
     rotated = np.column_stack([np.cos(turn) * step[:, 0] - np.sin(turn) * step[:, 1],
                                np.sin(turn) * step[:, 0] + np.cos(turn) * step[:, 1]])  # fmt: skip
     assert 1e-3 * columns["odometry_integration"][1:, :2] == pytest.approx(rotated - step[:, :2], abs=1e-6)
-
-
-def test_a_current_moves_the_robot_in_the_world_and_odometry_does_not_see_it(world):
-    inputs, path, used = world
-    drifted = path.copy()
+    drifted = path.copy()  # a current moves the robot in the world and odometry does not see it
     drifted[:, 1] += 1e-3 * (inputs.time - inputs.time[0])
-    unseen = between(path[:-1], path[1:]) - between(drifted[:-1], drifted[1:])
-    columns = {e.name: e.motion for e in effects(inputs, path, used)}
+    unseen = step - between(drifted[:-1], drifted[1:])
     assert 1e-3 * columns["odometry_current_y"][1:] == pytest.approx(unseen, abs=1e-9)
 
 
 @pytest.fixture(scope="module")
-def usual():
+def log():
     return open_log("arena:5")
 
 
@@ -160,12 +149,11 @@ def best(log):
     return explanations(evidence(log), [])[0].finding
 
 
-def test_a_sound_log_needs_no_explanation(usual):
-    assert explanations(evidence(usual), [])[0].net < ALIKE
+def test_a_sound_log_needs_no_explanation(log):
+    assert explanations(evidence(log), [])[0].net < ALIKE
 
 
-def test_a_jump_is_found_at_its_frame_with_its_size(usual):
-    log = usual
+def test_a_jump_is_found_at_its_frame_with_its_size(log):
     mean = log.recorded.increments.mean.copy()
     mean[80, :2] -= [0.6, -0.8]
     moved = Increments(mean, log.recorded.increments.covariance)
@@ -217,8 +205,7 @@ def test_a_displaced_sensor_is_no_integration_and_taken_out_exactly(task):
 
 
 @pytest.mark.slow
-def test_a_change_of_the_noise_is_found_with_its_frames(usual):
-    log = usual
+def test_a_change_of_the_noise_is_found_with_its_frames(log):
     frame = log.recorded.observations.frame
     inside = (frame >= 60) & (frame < 120)
     found = best(with_noise(log, np.where(inside[:, None], 2.0 * noise_of(log), 0.0)))
@@ -227,8 +214,7 @@ def test_a_change_of_the_noise_is_found_with_its_frames(usual):
     assert np.abs(np.array(found.frames[0]) - [60, 119]).max() <= 10
 
 
-def test_correlated_errors_of_a_landmark_are_no_wrong_sigma(usual):
-    log = usual
+def test_correlated_errors_of_a_landmark_are_no_wrong_sigma(log):
     o, rng = log.recorded.observations, np.random.default_rng(0)
     lasting = np.zeros((len(o.frame), 2))
     for landmark in np.unique(log.truth.landmark_of):
@@ -242,21 +228,20 @@ def test_correlated_errors_of_a_landmark_are_no_wrong_sigma(usual):
     assert found.size == pytest.approx(0.9, abs=0.1)
 
 
-def test_heavy_tails_are_no_wrong_sigma(usual):
-    log = usual
+def test_heavy_tails_are_no_wrong_sigma(log):
     heavy = np.random.default_rng(0).standard_t(3.0, (len(log.recorded.observations.frame), 2)) / np.sqrt(3.0)
     found = best(with_noise(log, heavy - noise_of(log)))
     assert found.kind == "tails"
     assert found.size <= 6.0
 
 
-def test_late_observations_are_one_error(usual):
-    r, o, pose = usual.recorded, usual.recorded.observations, usual.truth.pose
-    places = r.map.positions(usual.truth.landmark_of)
+def test_late_observations_are_one_error(log):
+    r, o, pose = log.recorded, log.recorded.observations, log.truth.pose
+    places = r.map.positions(log.truth.landmark_of)
     at = r.time[o.frame] - 0.3
     earlier = interpolate(r.time, pose, at) + np.minimum(at / r.time[1], 0.0)[:, None] * pose_error(pose[1], pose[0])
     late = r.sensor.residual(r.sensor.predict(earlier, places), r.sensor.predict(pose[o.frame], places))
-    moved = replace(usual, recorded=replace(r, observations=replace(o, z=o.z + late)))
+    moved = replace(log, recorded=replace(r, observations=replace(o, z=o.z + late)))
     found = explanations(evidence(moved), [])[0].finding
     assert found.kind == "systematic"
     assert "latency" in (found.name, *found.other)

@@ -63,10 +63,8 @@ LOCALIZATION = {
     "ranges_in_millimetres": lambda log: _readings(log, log.recorded.observations.z * np.array([1000.0, 1.0])),
     "bearings_in_degrees": lambda log: _readings(log, log.recorded.observations.z * np.array([1.0, 180.0 / np.pi])),
     "bearings_mirrored": lambda log: _readings(log, log.recorded.observations.z * np.array([1.0, -1.0])),
-    "sensor_looking_back": sensor_looking_back,
-    "prior_facing_backwards": lambda log: _prior(log, [0.0, 0.0, np.pi]),
-    "prior_elsewhere": lambda log: _prior(log, [6.0, 5.0, 0.0]),
-    "odometry_in_millimetres": odometry_in_millimetres,
+    "sensor_looking_back": sensor_looking_back, "prior_facing_backwards": lambda log: _prior(log, [0.0, 0.0, np.pi]),
+    "prior_elsewhere": lambda log: _prior(log, [6.0, 5.0, 0.0]), "odometry_in_millimetres": odometry_in_millimetres,
     "kidnapped": kidnapped,
-}
+}  # fmt: skip
 SLAM = ("kidnapped", "bearings_mirrored", "bearings_in_degrees", "odometry_in_millimetres")

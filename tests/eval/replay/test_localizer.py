@@ -103,10 +103,9 @@ def test_what_was_seen_on_the_way_does_not_keep_a_robot_from_being_found():
     assert robot.localizer.events() == ()
 
 
-@pytest.mark.parametrize(
-    ("shown", "number", "frame", "why"),
-    [(0.15, 1, 1, "another hypothesis leads"), (-0.15, 2, 3, "put off until the end")],
-)
+@pytest.mark.parametrize(("shown", "number", "frame", "why"), [
+    (0.15, 1, 1, "another hypothesis leads"), (-0.15, 2, 3, "put off until the end"),
+])  # fmt: skip
 def test_a_reading_that_may_be_of_four_landmarks_waits_until_more_is_known(shown, number, frame, why):
     # around what is seen; beside it they are as likely at twice the distance, as the heading is not known well
     near = np.array([[4.15, 0.0], [3.85, 0.0], [4.0, 0.31], [4.0, -0.31]])

@@ -175,12 +175,10 @@ def watched(monkeypatch):
 
 
 @pytest.mark.parametrize(("method", "setup"), [
-    ("jcbb", PLAIN),
-    ("jcbb", Setup(forget_after=120, maintain=True)),
+    ("jcbb", PLAIN), ("jcbb", Setup(forget_after=120, maintain=True)),
     pytest.param("nn", Setup(gate=0.9, new_gate=0.99), marks=pytest.mark.slow),
     pytest.param("ml-ratio", Setup(new_gate=None), marks=pytest.mark.slow),
-    pytest.param("gnn", PLAIN, marks=pytest.mark.slow),
-    ("known", Setup(maintain=True, gate_known=0.99)),
+    pytest.param("gnn", PLAIN, marks=pytest.mark.slow), ("known", Setup(maintain=True, gate_known=0.99)),
 ])  # fmt: skip
 def test_no_decision_and_no_estimate_changes(park, eager, monkeypatch, method, setup):
     inputs = slam(park, labels=method == "known")

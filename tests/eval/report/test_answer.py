@@ -195,15 +195,10 @@ CORRELATED = {"innovation_lag1": 0.72, "innovation_lag1_se": 0.06}
 
 
 @pytest.mark.parametrize(("changed", "word"), [
-    ({}, "innovations fit"),
-    ({"nees_pose": 46.0}, "overconfident"),
-    ({"nees_pose": 46.0, "nis": 0.1}, "overconfident"),
+    ({}, "innovations fit"), ({"nees_pose": 46.0}, "overconfident"), ({"nees_pose": 46.0, "nis": 0.1}, "overconfident"),
     ({"nees_pose": 6.5, "nees_pose_lower": 4.2, "nis": 0.1}, "overconfident"),
-    ({"nees_pose": 8.4, **CORRELATED}, "correlated"),
-    ({"nees_pose": 8.4, "nis": 0.1, **CORRELATED}, "correlated"),
-    ({"nis": 1.9}, "NIS too large"),
-    ({"nis": None}, ""),
-    ({"status": "diverged", "nees_pose": 46.0}, "diverged"),
+    ({"nees_pose": 8.4, **CORRELATED}, "correlated"), ({"nees_pose": 8.4, "nis": 0.1, **CORRELATED}, "correlated"),
+    ({"nis": 1.9}, "NIS too large"), ({"nis": None}, ""), ({"status": "diverged", "nees_pose": 46.0}, "diverged"),
 ])  # fmt: skip
 def test_nees_speaks_before_correlation_and_this_before_nis(changed, word):
     assert run_of(FILTER | changed).verdict == word

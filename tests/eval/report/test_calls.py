@@ -27,10 +27,9 @@ def test_logs_of_different_length_have_verdicts_but_no_common_time():
         found.figure()
 
 
-@pytest.mark.parametrize(
-    ("world", "message"),
-    [(lambda seed: 1, "returned int"), ([], "at least one log"), ("./nowhere.py:make", "there is no file")],
-)
+@pytest.mark.parametrize(("world", "message"), [
+    (lambda seed: 1, "returned int"), ([], "at least one log"), ("./nowhere.py:make", "there is no file"),
+])  # fmt: skip
 def test_a_world_that_makes_no_log_is_refused_by_name(world, message):
     with pytest.raises(UsageError, match=message):
         slamref.study(world, ["ekf"], runs=2)

@@ -191,16 +191,13 @@ def test_each_kind_of_finding_has_its_words():
         assert text in say("diagnosis#finding", f=explanations([f], POLAR)[0], terms=POLAR)
 
 
-@pytest.mark.parametrize(
-    ("found", "association", "step"),
-    [
-        (TURN, "known", "`tune --fit odometry`"), (SIGMA, "known", "`tune --fit sensor`"), (SIGMA, "nn", "state it so"),
-        (PAIRINGS, "known", "`--gate-known 0.9999`"), (PAIRINGS, "nn", "`--association jcbb-hindsight`"),
-        (PAIRINGS, "jcbb-hindsight", "`--association known`, with labels"),
-        (LINEAR, "known", "`--estimator ekf-iterated`"),
-        (replace(LINEAR, name="ekf-iterated"), "known", "distrust covariances"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("found", "association", "step"), [
+    (TURN, "known", "`tune --fit odometry`"), (SIGMA, "known", "`tune --fit sensor`"), (SIGMA, "nn", "state it so"),
+    (PAIRINGS, "known", "`--gate-known 0.9999`"), (PAIRINGS, "nn", "`--association jcbb-hindsight`"),
+    (PAIRINGS, "jcbb-hindsight", "`--association known`, with labels"),
+    (LINEAR, "known", "`--estimator ekf-iterated`"),
+    (replace(LINEAR, name="ekf-iterated"), "known", "distrust covariances"),
+])  # fmt: skip
 def test_what_to_do_is_nothing_that_runs_already(found, association, step):
     assert say("diagnosis#step", f=found, terms=POLAR, association=association) == step
 
@@ -449,10 +446,9 @@ def test_batch_has_the_last_word_and_an_error_is_told_if_a_tenth_of_its_sigma_is
     assert diagnosis.determined(ERRORS, Systematics(ERRORS.names, 0.0 * sigma, sigma)) == (False, True)
 
 
-@pytest.mark.parametrize(
-    ("value", "sigma", "text"),
-    [(-0.1053, 0.0045, "−0.1053 ± 0.0045"), (12.0, 3.4, "12.0 ± 3.4"), (0.5, 0.0, "0.500"), (3.0, 25.0, "3 ± 25")],
-)
+@pytest.mark.parametrize(("value", "sigma", "text"), [
+    (-0.1053, 0.0045, "−0.1053 ± 0.0045"), (12.0, 3.4, "12.0 ± 3.4"), (0.5, 0.0, "0.500"), (3.0, 25.0, "3 ± 25"),
+])  # fmt: skip
 def test_estimates_have_the_decimals_of_their_sigma(value, sigma, text):
     assert plus_minus(value, sigma) == text
 

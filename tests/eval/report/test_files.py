@@ -237,10 +237,8 @@ def places(tmp_path_factory):
 
 
 PLACES = {
-    Severity.ERROR: {"terminal", "Failures"},
-    Severity.WARNING: {"terminal", "Warnings"},
-    Severity.INFO: {"notes"},
-}
+    Severity.ERROR: {"terminal", "Failures"}, Severity.WARNING: {"terminal", "Warnings"}, Severity.INFO: {"notes"},
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("place", ["terminal", "Warnings", "Failures", "notes"])

@@ -46,18 +46,15 @@ def facts(filtered=EKF, smoothed=BATCH, log=LOG, trust=None, newest=None, unused
 
 
 @pytest.mark.parametrize(("filtered", "smoothed", "word", "tone"), [
-    (EKF, BATCH, "smoother", "good"),
-    (EKF, BATCH | {"rmse_aligned_m": 0.111}, "either", "good"),
+    (EKF, BATCH, "smoother", "good"), (EKF, BATCH | {"rmse_aligned_m": 0.111}, "either", "good"),
     (EKF | {"rmse_aligned_m": 0.01}, BATCH, "filter", "fair"),
-    (EKF, BATCH | {"nees_pose": 9.5}, "path: smoother", "fair"),
-    (EKF, BATCH | {"nees_pose": 400.0}, "filter", "fair"),
+    (EKF, BATCH | {"nees_pose": 9.5}, "path: smoother", "fair"), (EKF, BATCH | {"nees_pose": 400.0}, "filter", "fair"),
     (EKF | {"nees_pose": 400.0}, BATCH | {"nees_pose": 400.0}, "neither", "bad"),
     (EKF | {"lost_why": "0 used", "lost_frame": 7, "nees_pose": 1.1}, BATCH, "smoother", "good"),
     (EKF | {"status": "implausible"}, BATCH, "smoother", "fair"),
     (EKF, BATCH | {"status": "diverged"}, "filter", "fair"),
     (EKF | {"lost_why": "0 used", "lost_frame": 7}, BATCH | {"status": "diverged"}, "neither", "bad"),
-    (EKF, None, "only ekf", "none"),
-    (None, None, "nothing ran", "none"),
+    (EKF, None, "only ekf", "none"), (None, None, "nothing ran", "none"),
 ])  # fmt: skip
 def test_the_word_follows_the_errors_and_who_got_to_the_end(filtered, smoothed, word, tone):
     mark = trust_mark(facts(filtered, smoothed))
@@ -110,8 +107,7 @@ def trust(cause=None, *findings, measured=None, objected=()):
     (trust(NOISE, Finding(NOISE, "systematic", "z2_constant", 0.1)), "sensor"),
     (trust(NOISE, Finding(NOISE, "sigma", "odometry_x", 2.0)), "odometry"),
     (trust(NOISE, Finding(NOISE, "tails", "readings", 12)), "sensor"),
-    (trust(NOISE, objected=[("batch", "residual_odometry_x_lag1")]), "odometry"),
-    (trust(), "nothing"),
+    (trust(NOISE, objected=[("batch", "residual_odometry_x_lag1")]), "odometry"), (trust(), "nothing"),
     (replace(trust(), indicated=Finding(NOISE, "systematic", "odometry_theta_turn", -0.4)), "odometry"),
     (replace(trust(), indicated=Finding(NOISE, "sigma", "z", 1.8)), "sensor"),
     (replace(trust(), indicated=Finding(ASSOCIATIONS, "pairings", "readings", 9)), "associations"),
@@ -190,8 +186,7 @@ def test_the_sentences_say_what_was_compared_and_how_much_better_where_both_got_
 
 @pytest.mark.parametrize(("rmse", "online", "note"), [
     (0.4041, Online.EQUAL, "offline; online, the RMSE of ekf and isam2 differs by less than 2 %"),
-    (0.3, Online.OTHER, "online isam2 0.300 m"),
-    (0.1, Online.FAR_BETTER, "online, too (isam2 0.100 m)"),
+    (0.3, Online.OTHER, "online isam2 0.300 m"), (0.1, Online.FAR_BETTER, "online, too (isam2 0.100 m)"),
     (None, Online.UNKNOWN, "offline"),
 ])  # fmt: skip
 def test_an_online_smoother_tells_later_data_from_the_kind_of_estimator(rmse, online, note):

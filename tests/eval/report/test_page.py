@@ -225,13 +225,11 @@ def test_a_section_of_details_is_a_page_of_its_own_with_the_way_back(tmp_path):
 
 FRAME = pd.DataFrame(
     {
-        "estimator": ["ekf_slam", "batch | final", "gnc"],
-        "position RMSE [m]": [0.09912, 0.0862, None],
-        "inside 3σ [%]": [98.913, 100.0, np.nan],
-        "accepted": [812, 840, None],
+        "estimator": ["ekf_slam", "batch | final", "gnc"], "position RMSE [m]": [0.09912, 0.0862, None],
+        "inside 3σ [%]": [98.913, 100.0, np.nan], "accepted": [812, 840, None],
     },
     dtype=object,
-)
+)  # fmt: skip
 
 
 def cells_of(table: str) -> list[list[str]]:

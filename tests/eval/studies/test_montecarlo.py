@@ -138,10 +138,9 @@ def test_an_errors_square_is_in_units_of_its_own_variance_against_the_truth_at_t
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "estimator"),
-    [*(("erring-arena", e) for e in ("ekf", "batch")), *(("erring-corridor", e) for e in ("ekf-iterated", "batch"))],
-)
+@pytest.mark.parametrize(("name", "estimator"), [
+    *(("erring-arena", e) for e in ("ekf", "batch")), *(("erring-corridor", e) for e in ("ekf-iterated", "batch")),
+])  # fmt: skip
 def test_who_knows_that_its_odometry_may_err_is_consistent_and_who_does_not_is_rejected(name, estimator):
     plain, calibrated = erring(name, 50, estimator)
     assert next(j.verdict for j in montecarlo.judge(plain) if j.quantity == "pose").word == "overconfident"

@@ -51,10 +51,8 @@ def test_errors_of_twins_have_the_stated_covariances_and_no_mean(source):
     z = np.array([r.sensor.residual(t.recorded.observations.z[seen], exact) for t in logs])
     first = np.array([se2.pose_error(t.recorded.prior.mean, source.path[0]) for t in logs])
     for errors, stated in (
-        (motion, r.increments.covariance[1:]),
-        (z, o.R[seen]),
-        (first[:, None], r.prior.covariance[None]),
-    ):
+        (motion, r.increments.covariance[1:]), (z, o.R[seen]), (first[:, None], r.prior.covariance[None]),
+    ):  # fmt: skip
         squares = np.einsum("rni,nij,rnj->rn", errors, np.linalg.inv(stated), errors)
         d = errors.shape[-1]
         assert squares.mean() == pytest.approx(d, abs=5.0 * np.sqrt(2.0 * d / squares.size))

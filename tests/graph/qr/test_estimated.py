@@ -85,8 +85,7 @@ def by_differences(inputs, found, path, number, landmarks):
 
 @both_tasks
 @pytest.mark.parametrize(("names", "sensor"), [
-    (ERRORS, SENSORS["relative point"]),
-    (["scale", "range", "bearing"], RangeBearing(max_range=8.0, **OFF_CENTRE)),
+    (ERRORS, SENSORS["relative point"]), (["scale", "range", "bearing"], RangeBearing(max_range=8.0, **OFF_CENTRE)),
     pytest.param(["drift"], SENSORS["relative point"], marks=pytest.mark.slow),
 ], ids=["all", "off centre", "drift"])  # fmt: skip
 def test_estimated_errors_are_profiled_out_with_their_priors(task, names, sensor):

@@ -139,8 +139,7 @@ def diagnosed(fault: str, named: str, *, objected: bool = True) -> causes.Row:
 @pytest.mark.parametrize(("named", "kind"), [
     ("systematic odometry_theta_time", causes.RIGHT),
     ("systematic odometry_theta_distance|systematic odometry_theta_time; sigma z1", causes.ONE_OF),
-    ("sigma z1; systematic odometry_theta_time", causes.LATER),
-    ("sigma z1; tails readings", causes.WRONG),
+    ("sigma z1; systematic odometry_theta_time", causes.LATER), ("sigma z1; tails readings", causes.WRONG),
     ("", causes.UNNAMED),
 ])  # fmt: skip
 def test_what_is_named_first_counts(named, kind):

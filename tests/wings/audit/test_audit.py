@@ -148,11 +148,6 @@ def test_a_bad_line_is_named(written, line, message, refused):
         read_graph_file(pathlib.Path(path))
 
 
-def test_a_file_without_edges(written):
-    with pytest.raises(DataError, match="no edge"):
-        opened(written("VERTEX_SE2 0 0 0 0\n"), None)
-
-
 @pytest.mark.parametrize("count", [20, pytest.param(80, marks=pytest.mark.slow)])
 def test_damaged_files_are_refused_in_one_line(written, count):
     rng, refused = np.random.default_rng(0), 0

@@ -122,7 +122,7 @@ def test_a_picture_taken_for_another_is_a_wrong_pairing():
     assert true_pictures(elsewhere, in_view)[4] == -1
 
 
-def test_what_was_found_is_kept_by_content(tmp_path):
+def test_what_was_found_is_kept_by_content_and_a_folder_that_cannot_be_written_told(tmp_path):
     found = replace(made(40, noise=0.002), refused=({"too few inliers": 3}, {}), tiles=((2, b"jpeg"),))
     found = replace(found, small=((0, b"small"), (3, b"one")))
     looked = []
@@ -142,9 +142,6 @@ def test_what_was_found_is_kept_by_content(tmp_path):
     for key in ("key", "other"):
         cached(tmp_path / "deep", key, look)
     assert len(looked) == 3
-
-
-def test_a_folder_that_cannot_be_written_is_told(tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("")
     _, note = cached(blocked / "inside", "key", made)
@@ -152,10 +149,8 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path):
 
 
 @pytest.mark.parametrize(("name", "words"), [
-    ("visual:x", "whole number"),
-    ("visual:0:colour=red", "'colour=red' is not known"),
-    ("visual:0:frames=0", "at least 1"),
-    ("visual:0:frames=many", "a whole number"),
+    ("visual:x", "whole number"), ("visual:0:colour=red", "'colour=red' is not known"),
+    ("visual:0:frames=0", "at least 1"), ("visual:0:frames=many", "a whole number"),
     ("visual:0:duration=long", "a number is needed"),
 ])  # fmt: skip
 def test_names_with_faults_are_refused(name, words):

@@ -97,8 +97,7 @@ def test_a_model_solution_gets_everything_on_other_seeds(assignment):
 
 
 @pytest.mark.parametrize(("text", "why"), [
-    ("def to_camera(:", "line 1"),
-    ("x = 1", "no 'to_camera' in mine.py; there is nothing"),
+    ("def to_camera(:", "line 1"), ("x = 1", "no 'to_camera' in mine.py; there is nothing"),
     ("to_camera = 3", "to_camera is an int; a class or a function is needed"),
     ("raise SystemExit('no')", "importing it raised SystemExit: no (mine.py, line 1)"),
     ("def to_camera(*a):\n    return 'x'", "what it returned is 'x'; an array (4, 2) is needed"),
@@ -216,11 +215,8 @@ def test_a_class_is_graded_in_parallel_and_what_is_finished_is_kept(tmp_path, ca
     monkeypatch.chdir(tmp_path)
     right = (SOLUTIONS / "visual.py").read_text()
     texts = {
-        "ada": right,
-        "bob": right.replace("body", "b").replace("share", "s"),
-        "eve": handout("visual")[1],
-        "nil": None,
-    }
+        "ada": right, "bob": right.replace("body", "b").replace("share", "s"), "eve": handout("visual")[1], "nil": None,
+    }  # fmt: skip
     for name, text in texts.items():
         Path("class", name).mkdir(parents=True)
         if text is not None:

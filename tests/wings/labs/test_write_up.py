@@ -15,11 +15,9 @@ from wings.labs.write_up import log_page, tex, write_up
 
 SIDE = np.array([0.0, 1.0, 0.0])
 RUNS = (
-    run_with_error(0.01 * SIDE, estimator="dead-reckoning", mapped=False),
-    run_with_error(0.5 * SIDE),
-    run_with_error(0.2 * SIDE, association="nn"),
-    run_with_error(0.1 * SIDE, estimator="batch", phases=("final",)),
-)
+    run_with_error(0.01 * SIDE, estimator="dead-reckoning", mapped=False), run_with_error(0.5 * SIDE),
+    run_with_error(0.2 * SIDE, association="nn"), run_with_error(0.1 * SIDE, estimator="batch", phases=("final",)),
+)  # fmt: skip
 TRIAL = Trial(circle_log(name="hall"), "slam", RUNS)
 
 
@@ -44,9 +42,7 @@ def with_files(folder, *names):
 @pytest.mark.parametrize(("markdown", "latex"), [
     ("**Two** of `a_b`, 5 %", r"\textbf{Two} of \texttt{a\_b}, 5 \%"),
     ("see [the docs](https://x.y/z) for ω → φ", r"see the docs for $\omega$ $\to$ $\varphi$"),
-    ("**not closed", "**not closed"),
-    ("* one\n* two\n", "one\n\ntwo"),
-    ("plain", "plain"),
+    ("**not closed", "**not closed"), ("* one\n* two\n", "one\n\ntwo"), ("plain", "plain"),
 ])  # fmt: skip
 def test_code_bold_and_links_are_as_they_are_meant(markdown, latex):
     assert tex(markdown) == latex

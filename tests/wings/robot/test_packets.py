@@ -26,12 +26,9 @@ def crc_by_bits(data):
     return register
 
 
-def test_a_command_is_four_bytes_with_the_low_one_first():
+def test_a_command_is_four_bytes_with_the_low_one_first_and_an_answer_eight_distances_and_a_pose_in_22():
     assert packets.encode_command(packets.Command(300, -1000)) == bytes([0x2C, 0x01, 0x18, 0xFC])
     assert packets.decode_command(bytes([0x2C, 0x01, 0x18, 0xFC])) == packets.Command(300, -1000)
-
-
-def test_an_answer_is_eight_distances_and_a_pose_in_22_bytes():
     answer = packets.Answer((1, 2, 3, 4, 5, 6, 7, 4000), -1, 256, 3141)
     data = packets.encode_answer(answer)
     assert data == bytes([1, 0, 2, 0, 3, 0, 4, 0, 5, 0, 6, 0, 7, 0, 0xA0, 0x0F, 0xFF, 0xFF, 0, 1, 0x45, 0x0C])
@@ -44,21 +41,15 @@ def test_the_checksum_is_that_of_its_definition_and_of_the_published_check_value
     assert packets.checksum(data) == crc_by_bits(data).to_bytes(2, "little")
 
 
-def test_a_frame_is_found_behind_bytes_that_are_none_and_behind_a_false_marker():
+def test_a_frame_is_found_behind_bytes_that_are_none_or_a_false_marker_and_waited_for_until_it_is_whole():
     content = bytes(range(22))
     pending = bytearray(b"\x00\x01" + packets.MARKER + b"\x07" + packets.framed(content) + b"rest")
     used, _, found = packets.next_frame(pending, SIZES)
     assert (used, found) == (2 + 2 + 1 + 26, content)
     assert packets.next_frame(pending[used:], SIZES) == (4, b"", None)
-
-
-def test_a_frame_that_is_not_whole_is_waited_for_half_a_marker_included():
     whole = packets.framed(bytes(22))
-    for part in range(1, 26):
+    for part in range(1, 26):  # half a marker included
         assert packets.next_frame(bytearray(b"x" + whole[:part]), SIZES) == (1, b"", None)
-
-
-CHANGES = [300, pytest.param(10_000, marks=pytest.mark.slow)]
 
 
 def scan_of(rng, beams=None, odometry=(0, 0, 0), stamp=None):
@@ -127,7 +118,7 @@ def changed(data, rng):
     return bytes(data)
 
 
-@pytest.mark.parametrize("count", CHANGES)
+@pytest.mark.parametrize("count", [300, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_from_spoiled_bytes_come_only_scans_that_were_sent_and_nothing_fails(count):
     rng, used = np.random.default_rng(0), 0
     for _ in range(count):

@@ -11,12 +11,10 @@ from wings.robot.packets import command_of
 from wings.robot.simulated import Faults
 
 RECORDS = [
-    traffic.Record(traffic.OPENED, 0.0),
-    traffic.Record(traffic.SENT, 0.000001, b"\x01\x02\x03\x04"),
-    traffic.Record(traffic.RECEIVED, 0.026734, bytes(range(22))),
-    traffic.Record(traffic.RECEIVED, 7200.123456, b""),
+    traffic.Record(traffic.OPENED, 0.0), traffic.Record(traffic.SENT, 0.000001, b"\x01\x02\x03\x04"),
+    traffic.Record(traffic.RECEIVED, 0.026734, bytes(range(22))), traffic.Record(traffic.RECEIVED, 7200.123456, b""),
     traffic.Record(traffic.GONE, 7200.2),
-]
+]  # fmt: skip
 
 
 @pytest.fixture
@@ -76,10 +74,8 @@ def test_a_folder_that_holds_a_log_is_not_written_over(folder):
 
 
 @pytest.mark.parametrize(("name", "content", "message"), [
-    ("log.toml", None, "no such file"),
-    ("log.toml", b"format = 1\nname = 'x'\n", "not the recording of a link"),
-    ("log.toml", b"[source]\nkind = 'robot link'\n", "framed are needed"),
-    ("packets.bin", None, "cannot be read"),
+    ("log.toml", None, "no such file"), ("log.toml", b"format = 1\nname = 'x'\n", "not the recording of a link"),
+    ("log.toml", b"[source]\nkind = 'robot link'\n", "framed are needed"), ("packets.bin", None, "cannot be read"),
     ("packets.bin", b"something else", "begins with"),
 ])  # fmt: skip
 def test_what_is_no_recording_is_said_in_one_line(folder, name, content, message):

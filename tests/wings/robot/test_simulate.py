@@ -73,10 +73,9 @@ def test_a_link_through_pyserial_to_a_robot_on_a_terminal_and_its_log(tmp_path):
     assert np.hypot(*(rows[-1, 1:3] - [1.0, 1.0])) > 0.1
 
 
-@pytest.mark.parametrize(
-    ("flags", "message"),
-    [(("--world", "walls:x"), "walls:SEED or floorplan:SEED is one"), (("--drop", "2"), "2 is not from 0 to 1")],
-)
+@pytest.mark.parametrize(("flags", "message"), [
+    (("--world", "walls:x"), "walls:SEED or floorplan:SEED is one"), (("--drop", "2"), "2 is not from 0 to 1"),
+])  # fmt: skip
 def test_what_makes_no_sense_is_one_line(tmp_path, flags, message):
     result = ended("--link", tmp_path / "robot", *flags)
     assert (result.returncode, result.stdout) == (2, "")
@@ -84,7 +83,7 @@ def test_what_makes_no_sense_is_one_line(tmp_path, flags, message):
     assert "Traceback" not in result.stderr
 
 
-def test_a_link_to_a_terminal_is_replaced_and_removed_at_the_end_by_whose_it_is(tmp_path):
+def test_a_link_to_a_terminal_is_replaced_and_removed_by_whose_it_is_and_anything_else_of_that_name_left(tmp_path):
     path = tmp_path / "robot"
     path.symlink_to("/dev/pts/99999")
     with Terminal(path):
@@ -94,10 +93,7 @@ def test_a_link_to_a_terminal_is_replaced_and_removed_at_the_end_by_whose_it_is(
         assert not path.is_symlink()
         path.symlink_to("/dev/pts/99999")
     assert os.readlink(path) == "/dev/pts/99999"
-
-
-def test_anything_else_of_that_name_is_left(tmp_path):
-    path = tmp_path / "robot"
+    path.unlink()
     path.symlink_to(tmp_path)
     with pytest.raises(UsageError, match="exists already"):
         Terminal(path)

@@ -60,18 +60,13 @@ def passing(share: float, rng: np.random.Generator) -> tuple[Array, Array, Array
 
 
 @pytest.mark.parametrize("off", OFF)
-def test_echoes_are_laid_where_the_cone_meets_the_wall(off):
+def test_echoes_are_laid_where_the_cone_meets_the_wall_and_without_noise_a_fit_is_the_wall(off):
     alpha = SONARS[RIGHT, 2] + off
     sensors, ranges = passed(alpha)
     assert predicted_ranges(sensors, 0.8, alpha) == pytest.approx(ranges, abs=1e-12)
     assert echo_points(sensors, ranges, alpha) @ (math.cos(alpha), math.sin(alpha)) == pytest.approx(0.8, abs=1e-12)
-
-
-@pytest.mark.parametrize("off", OFF)
-def test_without_noise_a_fit_is_the_wall(off):
-    sensors, ranges = passed(SONARS[RIGHT, 2] + off)
     line = fit_weighted(sensors, ranges)
-    assert (line.rho, line.alpha) == pytest.approx((0.8, SONARS[RIGHT, 2] + off), abs=1e-6)
+    assert (line.rho, line.alpha) == pytest.approx((0.8, alpha), abs=1e-6)
     assert visible(line, sensors)
 
 
@@ -225,10 +220,7 @@ def nees_at_random(slip, count):
     return nees(found).mean()
 
 
-SLIPS = pytest.mark.parametrize("slip", [0.0, 0.02], ids=["the sonars' noise is all", "most is the wheels' slip"])
-
-
-@SLIPS
+@pytest.mark.parametrize("slip", [0.0, 0.02], ids=["the sonars' noise is all", "most is the wheels' slip"])
 @pytest.mark.slow
 def test_errors_are_as_large_as_their_covariance_says(slip):
     """2 dof; 0.7 is 2.5 sigma of the mean of 50."""

@@ -234,25 +234,22 @@ def test_detections_that_nothing_mounts_on_the_robot_are_left_out_and_said(maker
     assert len(log.recorded.observations.frame) == 1
 
 
-@pytest.mark.parametrize(
-    ("add", "words", "said"),
-    [
-        (lambda m: (m.markers(1.0, [(1, 2, 0)], frame="map"), m.boxes(1.0, [("1", 1, 0)], frame="map")), (),
-         "/boxes: .*: left out; /markers: 1 detection .*: left out; --list names"),
-        (lambda m: None, (), "nothing beside the odometry: no topic of scans, detections or fixes"),
-        (lambda m: m.poses(1.0, [(2, 1)]), ("--odom", "/odo"), "no such topic in .*did you mean /odom"),
-        (lambda m: m.poses(1.0, [(2, 1)]), ("--range-sigma", "1"), "--range-sigma 1: no topic of observations: ranges"),
-        (lambda m: m._send(1.0, "/w", POINT, x=1.0, y=2.0), ("--skip", "/w"), "--skip /w: it is left out without it"),
-        (lambda m: m._send(1.0, "/w", POINT, x=1.0, y=2.0), ("--odom", "/w"), "or v, omega, exported as CSV"),
-        (lambda m: m._send(1.0, "/joint", POINT, x=1.0, y=2.0), ("--odom", "tf"), "/odom, or /joint: ticks left"),
-        (lambda m: m.odometry(1.0, (0, 0, 0), "/other"), (), "--odom TOPIC is needed; topics of odometry: /odom"),
-        (lambda m: m.satellites(1.0, (48.0, 11.0), 1.0), (), "the first heading in the frame of the fixes is unknown"),
-        (lambda m: m.pose(1.0, (0, 0, 0)), (), "/amcl_pose: messages without a covariance; --truth /amcl_pose"),
-        (lambda m: m.tags(1.0, [(1, 2.0)]), ("--bearing-sigma", "1"), "in 'optical', which tf does not mount"),
-        (lambda m: (m.poses(1.0, [(2, 1)]), m.bare_pose(-START, (0, 0, 0))), ("--truth", "/mocap"),
-         "/mocap: stamps of its messages are 0, and no frame"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("add", "words", "said"), [
+    (lambda m: (m.markers(1.0, [(1, 2, 0)], frame="map"), m.boxes(1.0, [("1", 1, 0)], frame="map")), (),
+     "/boxes: .*: left out; /markers: 1 detection .*: left out; --list names"),
+    (lambda m: None, (), "nothing beside the odometry: no topic of scans, detections or fixes"),
+    (lambda m: m.poses(1.0, [(2, 1)]), ("--odom", "/odo"), "no such topic in .*did you mean /odom"),
+    (lambda m: m.poses(1.0, [(2, 1)]), ("--range-sigma", "1"), "--range-sigma 1: no topic of observations: ranges"),
+    (lambda m: m._send(1.0, "/w", POINT, x=1.0, y=2.0), ("--skip", "/w"), "--skip /w: it is left out without it"),
+    (lambda m: m._send(1.0, "/w", POINT, x=1.0, y=2.0), ("--odom", "/w"), "or v, omega, exported as CSV"),
+    (lambda m: m._send(1.0, "/joint", POINT, x=1.0, y=2.0), ("--odom", "tf"), "/odom, or /joint: ticks left"),
+    (lambda m: m.odometry(1.0, (0, 0, 0), "/other"), (), "--odom TOPIC is needed; topics of odometry: /odom"),
+    (lambda m: m.satellites(1.0, (48.0, 11.0), 1.0), (), "the first heading in the frame of the fixes is unknown"),
+    (lambda m: m.pose(1.0, (0, 0, 0)), (), "/amcl_pose: messages without a covariance; --truth /amcl_pose"),
+    (lambda m: m.tags(1.0, [(1, 2.0)]), ("--bearing-sigma", "1"), "in 'optical', which tf does not mount"),
+    (lambda m: (m.poses(1.0, [(2, 1)]), m.bare_pose(-START, (0, 0, 0))), ("--truth", "/mocap"),
+     "/mocap: stamps of its messages are 0, and no frame"),
+])  # fmt: skip
 def test_one_line_says_what_is_wrong(maker, convert, tmp_path, add, words, said):
     add(maker)
     found = convert({}, "bag", maker.save(tmp_path), "out", *words, status=2)

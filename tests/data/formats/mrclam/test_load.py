@@ -23,35 +23,27 @@ from tests.data.formats.mrclam.world import (
 
 
 class TestANoiseFreeRecording:
-    def test_every_frame_has_the_true_pose_of_its_instant(self, files, load):
+    def test_every_frame_has_the_true_pose_of_its_instant_and_increments_lead_along_the_true_path(self, files, load):
         log = load(files)
         expected = np.array([world.pose_at(starts_at(log) + t) for t in log.recorded.time])
         assert log.truth.pose is not None
         # the truth is interpolated between rows 0.05 s apart: a chord of the circle
         np.testing.assert_allclose(se2.pose_error(log.truth.pose, expected), 0.0, atol=3e-4)
-
-    def test_the_increments_lead_along_the_true_path(self, files, load):
-        log = load(files)
         pose = log.recorded.prior.mean
         for k in range(len(log.recorded)):
             pose = se2.compose(pose, log.recorded.increments.mean[k])
         expected = np.array(world.pose_at(starts_at(log) + log.recorded.time[-1]))
         np.testing.assert_allclose(se2.pose_error(pose, expected), 0.0, atol=1e-3)
 
-    def test_the_sensor_predicts_each_reading_from_the_true_pose_and_the_map(self, files, load):
+    def test_the_sensor_predicts_each_reading_and_those_of_one_image_share_a_frame_in_their_order(self, files, load):
         log = load(files)
         o, known = log.recorded.observations, log.recorded.map
         assert known is not None and log.truth.pose is not None and log.truth.landmark_of is not None  # noqa: PT018
         places = known.xy[np.searchsorted(known.id, log.truth.landmark_of)]
         predicted = log.recorded.sensor.predict(log.truth.pose[o.frame], places)
         np.testing.assert_allclose(log.recorded.sensor.residual(o.z, predicted), 0.0, atol=5e-4)
-
-    def test_readings_of_one_image_share_a_frame_and_keep_their_order(self, files, load):
-        log = load(files)
         rows = [r for r in world.measurement_rows() if r[1] >= 6]
-        stamps = starts_at(log) + log.recorded.time[log.recorded.observations.frame]
-        np.testing.assert_allclose(stamps, [r[0] for r in rows], atol=1e-6)
-        assert log.truth.landmark_of is not None
+        np.testing.assert_allclose(starts_at(log) + log.recorded.time[o.frame], [r[0] for r in rows], atol=1e-6)
         assert log.truth.landmark_of.tolist() == [r[1] for r in rows]
 
     def test_the_prior_is_the_true_pose_with_5_cm_and_0_05_rad(self, files, load):
@@ -78,11 +70,9 @@ class TestWhereTheFilesAre:
     def test_folder_subfolder_and_zip_give_the_same_log(self, files, tmp_path):
         save_folder(tmp_path / "top" / "MRCLAM_Dataset77", files)
         sources = [
-            save_folder(tmp_path / "flat", files),
-            tmp_path / "top",
-            save_zip(tmp_path / "a.zip", files),
+            save_folder(tmp_path / "flat", files), tmp_path / "top", save_zip(tmp_path / "a.zip", files),
             save_zip(tmp_path / "b.zip", files, top=""),
-        ]
+        ]  # fmt: skip
         logs = [load_mrclam(s, 1) for s in sources]
         for log in logs[1:]:
             np.testing.assert_array_equal(log.recorded.increments.mean, logs[0].recorded.increments.mean)
@@ -107,11 +97,9 @@ class TestWhereTheFilesAre:
         for n in (1, 2):
             save_folder(tmp_path / "two" / f"MRCLAM_Dataset{n}", files)
         for name, why in (
-            ("text.zip", "not a readable zip"),
-            ("empty", "Barcodes.dat: no such file"),
-            ("two", "more than one dataset"),
-            ("nothing", "no such folder"),
-        ):
+            ("text.zip", "not a readable zip"), ("empty", "Barcodes.dat: no such file"),
+            ("two", "more than one dataset"), ("nothing", "no such folder"),
+        ):  # fmt: skip
             with pytest.raises(DataError, match=why):
                 load_mrclam(tmp_path / name, 1)
             assert not is_mrclam(tmp_path / name)
@@ -225,8 +213,7 @@ class TestFaults:
 
     @pytest.mark.parametrize(("name", "row", "words"), [
         (MEASURED, "T 94 -0.5 0.1", ("column range", "negative")),
-        (MEASURED, "T 94 0.5 nan", ("column bearing", "not a number")),
-        (ODOMETRY, "T 0.1", ("2 fields where 3",)),
+        (MEASURED, "T 94 0.5 nan", ("column bearing", "not a number")), (ODOMETRY, "T 0.1", ("2 fields where 3",)),
         (ODOMETRY, "T fast 0.2", ("column forward velocity", "'fast'")),
         (TRUTH, "T 0.1 inf 0.2", ("column y", "not a number")),
         ("Barcodes.dat", "6 63", ("column subject", "is in two rows")),

@@ -33,8 +33,7 @@ def misses(log):
 
 class TestThePublishedRecordings:
     @pytest.mark.parametrize(("dataset", "robot", "rows", "unknown", "median", "worst", "worst_miss"), [
-        (1, 3, 8742, 2, 0.101, 6, 0.195),
-        pytest.param(6, 4, 2399, 3, 0.125, 9, 0.176, marks=pytest.mark.slow),
+        (1, 3, 8742, 2, 0.101, 6, 0.195), pytest.param(6, 4, 2399, 3, 0.125, 9, 0.176, marks=pytest.mark.slow),
         pytest.param(9, 3, 6167, 0, 0.114, 18, 0.193, marks=pytest.mark.slow),
     ])  # fmt: skip
     @pytest.mark.slow

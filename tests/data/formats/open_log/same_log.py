@@ -46,10 +46,8 @@ def assert_sound(log: Log) -> None:
     assert np.isfinite(inputs.time).all()
     assert (np.diff(inputs.time) > 0).all()
     for covariance, count, d in (
-        (inputs.prior.covariance[None], 1, 3),
-        (inputs.increments.covariance, n, 3),
-        (o.R, m, 2),
-    ):
+        (inputs.prior.covariance[None], 1, 3), (inputs.increments.covariance, n, 3), (o.R, m, 2),
+    ):  # fmt: skip
         assert covariance.shape == (count, d, d)
         assert np.isfinite(covariance).all()
         assert np.allclose(covariance, covariance.transpose(0, 2, 1), rtol=1e-9, atol=0.0)

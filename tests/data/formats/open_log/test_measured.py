@@ -16,13 +16,11 @@ from tests.data.formats.open_log.test_faults import refused, refused_field
 
 
 @pytest.mark.parametrize("source", ["frames", "odometry"])
-def test_fixes_are_read_with_their_sources(save, tmp_path, source):
+def test_fixes_are_read_with_their_sources_and_closures_sorted_by_their_later_frame(save, tmp_path, source):
     log = load_folder(save(tmp_path / "log", measured_files(source)))
     fixes = log.recorded.fixes
-    assert [(s.name, s.lever, s.rotation) for s in fixes.sources] == [
-        ("gps", (0.3, -0.1), 0.0),
-        ("compass", (0.0, 0.0), 0.2),
-    ]
+    told = [(s.name, s.lever, s.rotation) for s in fixes.sources]
+    assert told == [("gps", (0.3, -0.1), 0.0), ("compass", (0.0, 0.0), 0.2)]
     assert fixes.kind.tolist() == [FixKind.POSITION, FixKind.HEADING, FixKind.POSE, FixKind.POSITION]
     assert fixes.source.tolist() == [0, 1, 0, 0]
     assert fixes.z.tolist() == [[1.5, 2.25, 0], [0, 0, 0.75], [1.75, 2.5, 0.5], [2.5, 3, 0]]
@@ -31,11 +29,6 @@ def test_fixes_are_read_with_their_sources(save, tmp_path, source):
     assert fixes.covariance[2].tolist() == [[0.04, 0.01, 0], [0.01, 0.09, 0], [0, 0, 0.01]]
     assert fixes.covariance[3].tolist() == [[0.25, 0.1, 0], [0.1, 0.16, 0], [0, 0, 0]]
     assert log.truth.fix_inlier.tolist() == [1, -1, 0, -1]
-
-
-@pytest.mark.parametrize("source", ["frames", "odometry"])
-def test_closures_are_sorted_by_their_later_frame(save, tmp_path, source):
-    log = load_folder(save(tmp_path / "log", measured_files(source)))
     closures = log.recorded.closures
     assert closures.relative.tolist() == [[0.25, 0.01, 0.1], [-0.75, 0.25, 3.25]]
     assert closures.frame1[0] == closures.frame2[1] == closures.earlier[1]
@@ -230,10 +223,9 @@ def test_constant_velocity_on_an_arc_is_what_samples_of_its_velocity_give():
     assert got.covariance[1] == pytest.approx(np.cov(samples), abs=0.03 * np.cov(samples).max())
 
 
-@pytest.mark.parametrize(
-    ("motion", "prior"),
-    [(FORWARD, ForwardPrior(0.5, 0.4, 0.1, 1.0)), (STEADY, ConstantVelocityPrior(0.8, 0.2, 0.1, 0.0, 0.5))],
-)
+@pytest.mark.parametrize(("motion", "prior"), [
+    (FORWARD, ForwardPrior(0.5, 0.4, 0.1, 1.0)), (STEADY, ConstantVelocityPrior(0.8, 0.2, 0.1, 0.0, 0.5)),
+])  # fmt: skip
 def test_a_folder_states_a_prior_in_place_of_increments(small_log_files, save, tmp_path, motion, prior):
     log = load_folder(save(tmp_path / "in", primed(small_log_files, motion)))
     expected = prior.increments(TIMES)
@@ -251,11 +243,7 @@ def test_a_folder_states_a_prior_in_place_of_increments(small_log_files, save, t
 
 @pytest.mark.parametrize(("old", "new", "message"), [
     ('"forward"', '"backward"', r"\[motion\] prior = 'backward': unknown; known: forward, constant_velocity"),
-    (
-        '"forward"',
-        '"constant_velocity"',
-        r"\[motion\] step_mean = 0.5: prior = 'constant_velocity' takes velocity,",
-    ),
+    ('"forward"', '"constant_velocity"', r"\[motion\] step_mean = 0.5: prior = 'constant_velocity' takes velocity,"),
     ("step_mean = 0.5", "", r"\[motion\] step_mean: missing; a number is needed"),
     ("step_sigma = 0.4", "step_sigma = -0.4", r"\[motion\] step_sigma = -0.4: a number >= 0"),
 ])  # fmt: skip

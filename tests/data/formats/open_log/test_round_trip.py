@@ -1,6 +1,5 @@
 """Any log comes back bit for bit from its folder, replaced whole, and from arrays; wrong arrays are refused."""
 
-import dataclasses
 import math
 import tempfile
 import tomllib
@@ -156,7 +155,7 @@ def log(small_log_files, save, tmp_path) -> Log:
 def test_a_log_folder_is_replaced_whole(log, tmp_path):
     target = tmp_path / "out"
     write_folder(log, target)
-    write_folder(dataclasses.replace(log, truth=Truth(), recorded=log.recorded.without_map()), str(target) + "/")
+    write_folder(replace(log, truth=Truth(), recorded=log.recorded.without_map()), str(target) + "/")
     assert sorted(p.name for p in target.iterdir()) == ["frames.csv", "log.toml", "observations.csv"]
     assert sorted(p.name for p in tmp_path.iterdir()) == ["given", "out"]
 
@@ -185,22 +184,16 @@ def test_a_file_or_a_link_in_the_way_is_left_alone(log, tmp_path):
     assert (tmp_path / "given" / "log.toml").exists()
 
 
-def test_a_log_that_could_not_be_read_again_is_not_written(log, tmp_path):
-    z = log.recorded.observations.z.copy()
+def test_a_log_that_could_not_be_read_again_and_a_map_without_a_true_landmark_are_not_written(log, tmp_path):
+    z, o, known = log.recorded.observations.z.copy(), log.recorded.observations, log.recorded.map
     z[0, 0] = math.nan
-    o = log.recorded.observations
-    broken = dataclasses.replace(
-        log, recorded=dataclasses.replace(log.recorded, observations=Observations(o.frame, z, o.R))
-    )
-    with pytest.raises(DataError, match=r"observations.csv:2: column z1: nan"):
-        write_folder(broken, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_map_without_a_true_landmark_has_no_place_in_the_format(log, tmp_path):
-    less = LandmarkMap(log.recorded.map.id[1:], log.recorded.map.xy[1:])
-    with pytest.raises(DataError, match="lacks some of its true landmarks"):
-        write_folder(dataclasses.replace(log, recorded=dataclasses.replace(log.recorded, map=less)), tmp_path / "out")
+    for broken, said in (
+        ({"observations": Observations(o.frame, z, o.R)}, r"observations.csv:2: column z1: nan"),
+        ({"map": LandmarkMap(known.id[1:], known.xy[1:])}, "lacks some of its true landmarks"),
+    ):
+        with pytest.raises(DataError, match=said):
+            write_folder(replace(log, recorded=replace(log.recorded, **broken)), tmp_path / "out")
+        assert not (tmp_path / "out").exists()
 
 
 def test_the_header_is_plain_toml_whatever_the_source_holds(log, tmp_path):
@@ -208,7 +201,7 @@ def test_the_header_is_plain_toml_whatever_the_source_holds(log, tmp_path):
         "seed": np.int64(3), "sigma": np.array([0.1, 0.2]), "file": Path("a") / "b", "no": None,
         'odd "key"': "\x7f\n\\é",
     }  # fmt: skip
-    write_folder(dataclasses.replace(log, source=source), tmp_path / "out")
+    write_folder(replace(log, source=source), tmp_path / "out")
     with (tmp_path / "out" / "log.toml").open("rb") as file:
         written = tomllib.load(file)["source"]
     assert written == {"seed": 3, "sigma": [0.1, 0.2], "file": str(Path("a") / "b"), 'odd "key"': "\x7f\n\\é"}
@@ -239,9 +232,7 @@ def test_a_log_from_arrays_is_the_log_of_the_same_numbers_in_a_folder(tmp_path):
     again = slamref.Log.from_arrays(
         "arena_3", (r.prior.mean, r.prior.covariance),
         {
-            "kind": "range_bearing",
-            "max_range": r.sensor.max_range,
-            "min_angle": r.sensor.min_angle,
+            "kind": "range_bearing", "max_range": r.sensor.max_range, "min_angle": r.sensor.min_angle,
             "max_angle": r.sensor.max_angle,
         },
         np.column_stack([o.frame, o.z]), increments=r.increments.mean, covariance=r.increments.covariance, time=r.time,
@@ -269,8 +260,7 @@ def test_one_covariance_holds_for_all_frames_but_the_first():
     ({"time": [0.0, 1.0, 1.0]}, "mine: increments:2: column t: 1 follows 1.0; t must increase"),
     ({"covariance": None}, "increments need a covariance"),
     ({"covariance": [[1.0, 2.0, 0], [0, 1.0, 0], [0, 0, 1.0]]}, "mine: covariance: not symmetric"),
-    ({"truth": np.zeros((2, 3))}, "mine: truth:1: 2 rows for 3 frames"),
-    ({"sensor": {"kind": "sonar"}}, "sonar"),
+    ({"truth": np.zeros((2, 3))}, "mine: truth:1: 2 rows for 3 frames"), ({"sensor": {"kind": "sonar"}}, "sonar"),
     ({"odometry": np.zeros((3, 3))}, "either increments or odometry is needed"),
     ({"label": [1, 2]}, r"label has shape \(2,\); \(3,\) is needed"),
 ])  # fmt: skip

@@ -87,12 +87,16 @@ def test_every_format_is_recognized_by_its_content(write, tmp_path):
     assert said == ("" if write is ours else "projected to the plane: z 0.5 to 0.5 m ignored")
 
 
-def test_columns_of_ours_come_in_any_order_and_a_pose_may_be_blank(tmp_path):
+def test_columns_of_ours_come_in_any_order_a_pose_may_be_blank_and_of_one_stamp_the_last_counts(tmp_path):
     (tmp_path / "a").write_text("theta,x,t,y,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt\n0.1,1,0,2,4,1,0,3,0,1\n,,1,,,,,,,\n")
     path = read_path(str(tmp_path / "a"))
     assert path.pose[0].tolist() == [1.0, 2.0, 0.1]
     assert path.covariance[0].tolist() == [[4.0, 1.0, 0.0], [1.0, 3.0, 0.0], [0.0, 0.0, 1.0]]
     assert np.isnan(path.pose[1]).all()
+    (tmp_path / "a").write_text("t,x,y,theta\n0,1,0,0\n0,2,0,0\n1,3,0,0\n")
+    path = read_path(str(tmp_path / "a"))
+    assert path.pose[:, 0].tolist() == [2.0, 3.0]
+    assert path.notes[0].startswith("1 poses share their stamp")
 
 
 def test_nanoseconds_belong_to_whole_seconds(tmp_path):
@@ -102,13 +106,6 @@ def test_nanoseconds_belong_to_whole_seconds(tmp_path):
         )
         (tmp_path / "a.csv").write_text(f"time,header.stamp.nsecs,x,y,theta\n{rows}")
         assert read_path(str(tmp_path / "a.csv")).time.tolist() == pytest.approx(read)
-
-
-def test_of_poses_with_one_stamp_the_last_counts(tmp_path):
-    (tmp_path / "a").write_text("t,x,y,theta\n0,1,0,0\n0,2,0,0\n1,3,0,0\n")
-    path = read_path(str(tmp_path / "a"))
-    assert path.pose[:, 0].tolist() == [2.0, 3.0]
-    assert path.notes[0].startswith("1 poses share their stamp")
 
 
 T = "0 0 0 0 0 0 0 1"
@@ -190,31 +187,24 @@ def wide(path, made, columns=slice(None)):
     return str(path)
 
 
-def test_wide_a_sidecar_and_a_header_say_the_same(tmp_path):
+def test_wide_a_sidecar_and_a_header_say_the_same_and_a_sidecar_declares_its_own_frame(tmp_path):
     made = steps()
     wanted = read_path(square(tmp_path / "square", made, header()))
     plain = wide(tmp_path / "plain.tum", made, slice(0, 8))
-    side = wide(tmp_path / "side.cov", made, [0, *range(8, 29)])
+    side = Path(wide(tmp_path / "side.cov", made, [0, *range(8, 29)]))
     assert wanted.frame == LOCAL
     for path in (
         read_path(wide(tmp_path / "wide.tum", made)),
-        read_path(plain, Manner(cov=tmp_path / "side.cov")),
+        read_path(plain, Manner(cov=side)),
         read_path(
             square(tmp_path / "other", steps(order=TangentOrder.ROT_TRANS), header(order=TangentOrder.ROT_TRANS))
         ),
     ):
         assert path.pose == pytest.approx(wanted.pose, abs=1e-9)
         assert path.covariance == pytest.approx(wanted.covariance, rel=1e-12, abs=1e-15)
-    assert side
     assert read_path(plain).covariance is None
-
-
-def test_a_sidecar_declares_its_own_frame(tmp_path):
-    made = steps()
-    wide(tmp_path / "side", made, [0, *range(8, 29)])
-    text = (tmp_path / "side").read_text()
-    (tmp_path / "side").write_text("#%TANGENT_CONVENTION left_perturbation\n" + text)
-    path = read_path(wide(tmp_path / "plain.tum", made, slice(0, 8)), Manner(cov=tmp_path / "side"))
+    side.write_text("#%TANGENT_CONVENTION left_perturbation\n" + side.read_text())
+    path = read_path(plain, Manner(cov=side))
     wanted = read_path(square(tmp_path / "square", made, header(LEFT)))
     assert path.frame == LEFT
     assert path.covariance == pytest.approx(wanted.covariance, rel=1e-12, abs=1e-15)

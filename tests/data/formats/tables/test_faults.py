@@ -16,26 +16,23 @@ def table(convert):
     return lambda text, *words, **status: convert({"robot.csv": text}, "table", "robot.csv", "out", *words, **status)
 
 
-@pytest.mark.parametrize(
-    ("text", "words", "said"),
-    [
-        (GOOD, (*SIGMAS, "--columns", "pressure=v"), "unknown quantity 'pressure'; known: t,"),
-        (GOOD, (*SIGMAS, "--columns", "odometry.t=stamp"), "no column 'stamp' (odometry.t); it has columns t, v,"),
-        (GOOD, (*SIGMAS, "--unit", "time=fortnight"), "unknown unit 'fortnight'; one of s, ms,"),
-        (GOOD, (*SIGMAS, "--prior", "truth", "--prior-sigma", "0,0,0"), "--prior truth: --truth FILE is needed"),
-        (GOOD, (*SIGMAS, "--view", "1,1"), "--view 1,1: the smaller bearing first"),
-        (GOOD.replace("1,1,0,2", "1,1,0,x"), SIGMAS, ":3: column range: 'x' is not a number"),
-        (GOOD.replace("1,1,0,2", '1,1,"0,2'), SIGMAS, ":3: a quote that is not closed within its line"),
-        (GOOD.replace("0,1,0,2", "5,1,0,2"), SIGMAS, ":3: column t: 1 follows 5.0; t must not decrease"),
-        (GOOD.replace("3,1,0,3", "3,1,0,-3"), SIGMAS, "column range: -3 is a negative range"),
-        (GAPS, SIGMAS, ":33: column v: -999 in 3 of 34 rows, far beyond all others, is no measurement"),
-        (GOOD.replace("omega", "gyro"), SIGMAS, "no odometry: columns t, v, gyro"),
-        (GOOD.replace("omega", "v"), SIGMAS, "columns 2 and 3 are named 'v'; name one by its number"),
-        (GOOD.partition("\n")[2], SIGMAS, "columns 1 to 5, without names"),
-        (b"PK\x03\x04\x00\x00", SIGMAS, "cannot be unpacked: File is not a zip file"),
-        ("t,v,omega,range,bearing\n0,1,0,2,0.1\n1e9,1,0,2,0.2\n", SIGMAS, "--unit time=ns"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "words", "said"), [
+    (GOOD, (*SIGMAS, "--columns", "pressure=v"), "unknown quantity 'pressure'; known: t,"),
+    (GOOD, (*SIGMAS, "--columns", "odometry.t=stamp"), "no column 'stamp' (odometry.t); it has columns t, v,"),
+    (GOOD, (*SIGMAS, "--unit", "time=fortnight"), "unknown unit 'fortnight'; one of s, ms,"),
+    (GOOD, (*SIGMAS, "--prior", "truth", "--prior-sigma", "0,0,0"), "--prior truth: --truth FILE is needed"),
+    (GOOD, (*SIGMAS, "--view", "1,1"), "--view 1,1: the smaller bearing first"),
+    (GOOD.replace("1,1,0,2", "1,1,0,x"), SIGMAS, ":3: column range: 'x' is not a number"),
+    (GOOD.replace("1,1,0,2", '1,1,"0,2'), SIGMAS, ":3: a quote that is not closed within its line"),
+    (GOOD.replace("0,1,0,2", "5,1,0,2"), SIGMAS, ":3: column t: 1 follows 5.0; t must not decrease"),
+    (GOOD.replace("3,1,0,3", "3,1,0,-3"), SIGMAS, "column range: -3 is a negative range"),
+    (GAPS, SIGMAS, ":33: column v: -999 in 3 of 34 rows, far beyond all others, is no measurement"),
+    (GOOD.replace("omega", "gyro"), SIGMAS, "no odometry: columns t, v, gyro"),
+    (GOOD.replace("omega", "v"), SIGMAS, "columns 2 and 3 are named 'v'; name one by its number"),
+    (GOOD.partition("\n")[2], SIGMAS, "columns 1 to 5, without names"),
+    (b"PK\x03\x04\x00\x00", SIGMAS, "cannot be unpacked: File is not a zip file"),
+    ("t,v,omega,range,bearing\n0,1,0,2,0.1\n1e9,1,0,2,0.2\n", SIGMAS, "--unit time=ns"),
+])  # fmt: skip
 def test_one_line_says_what_is_wrong(table, text, words, said):
     assert said in table(text, *words, status=2)
 

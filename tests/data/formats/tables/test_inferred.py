@@ -103,13 +103,11 @@ def test_observations_without_names_are_read_as_landmarks_stand_still(convert, o
 
 
 def test_observations_of_a_robot_that_stands_still_are_not_read(convert):
-    seen = np.column_stack(
-        [T, np.arange(300) % 4, np.tile([3.0, 4.0, 5.0, 6.0], 75), np.tile([0.1, -0.2, 0.3, 0.4], 75)]
-    )
+    which = np.arange(300) % 4
+    seen = np.column_stack([T, which, 3.0 + which, np.array([0.1, -0.2, 0.3, 0.4])[which]])
     files = {"o.csv": text("t,v,omega", T, 0 * T, 0 * T), "z.csv": text("", seen).lstrip()}
-    assert "no observations: columns 1 to 4" in convert(
-        files, "table", "o.csv", "out", "--observations", "z.csv", status=2
-    )
+    said = convert(files, "table", "o.csv", "out", "--observations", "z.csv", status=2)
+    assert "no observations: columns 1 to 4" in said
 
 
 def test_steps_without_a_sideways_motion(converted):
@@ -129,10 +127,8 @@ def test_fixes_tell_the_start_and_files_side_by_side_are_one_table(convert):
     assert "unknown start" in convert(*table, "--fix-sigma", "4,4", status=2)  # the way is too short
     log, said = convert(*table, "--fix-sigma", "5cm,5cm")
     assert log.recorded.prior.mean == pytest.approx([5.0, -3.0, 0.7], abs=0.05)
-    unsure = convert(*table, "--fix-sigma", "5cm,5cm", "--odometry-sigma", "5cm,20deg")[0].recorded.prior.covariance[
-        2, 2
-    ]
-    assert log.recorded.prior.covariance[2, 2] < 0.04 < unsure  # as odometry drifts
+    unsure, _ = convert(*table, "--fix-sigma", "5cm,5cm", "--odometry-sigma", "5cm,20deg")
+    assert log.recorded.prior.covariance[2, 2] < 0.04 < unsure.recorded.prior.covariance[2, 2]  # as odometry drifts
     assert (log.origins["prior"], "inferred: --prior=" in said) == (Origin.INFERRED, True)
 
 
@@ -140,9 +136,8 @@ def test_a_row_of_zeros_an_odometry_to_the_other_side_and_fixes_of_a_gps_receive
     """x north, y east, headings clockwise, behind a row of zeros; latitudes of the south as ddmm.mmmm."""
     turned = np.column_stack([T, POSE[:, [1, 0]], 0.5 * np.pi - THETA])
     rows = np.vstack([np.zeros(4), turned + [5e4, 0.0, 0.0, 0.0]])
-    places = [f"{5e4 + t},{4830.0 - y / 1853.51:.7f},S,{212.0 + x / 1231.2:.7f},E" for t, (x, y, _) in zip(T, POSE)][
-        ::3
-    ]
+    at = zip(T[::3], POSE[::3], strict=True)
+    places = [f"{5e4 + t},{4830.0 - y / 1853.51:.7f},S,{212.0 + x / 1231.2:.7f},E" for t, (x, y, _) in at]
     files = {"o.csv": text("t,x,y,theta", rows), "gps.csv": "\n".join(["t,lat,ns,lon,ew", *places])}
     words = ("table", "o.csv", "out", "--fixes", "gps.csv", "--fix-sigma", "0.1,0.1")
     log, said = convert(files, *words)

@@ -84,19 +84,16 @@ def test_velocities_of_slow_rows_hold_until_the_next_one_and_what_a_gap_leaves_o
     assert [text in said for text in (note, seconds, "moved unseen")] == [True, True, bool(note)]
 
 
-@pytest.mark.parametrize(
-    ("parts", "words", "said"),
-    [
-        ({"fixes": "t,x,y,sx,sy\n0.5,1,2,,\n"}, (), "fix.csv:2: unknown noise of this fix; --fix-sigma SX,SY (m)"),
-        ({"fixes": "t,x,y\n0.5,1,\n"}, ("--fix-sigma", "1,1"), "fix.csv:2: column y: blank; both x and y, or neither"),
-        ({"fixes": "frame,x,y\n4,1,1\n"}, ("--fix-sigma", "1,1"), ":2: column frame: 4 is out of range; the odometry"),
-        ({"fixes": "t,x,y,sx\n0.5,1,1,-1\n"}, ("--fix-sigma", "1,1"), ":2: column sx: -1 is no standard deviation > 0"),
-        ({"fixes": "t,x,y\n99,1,1\n"}, ("--fix-sigma", "1,1"), "fixes from 99 to 99 s, odometry from 0 to 3 s do not"),
-        ({"closures": "t1,t2,dx,dy,dtheta\n1,1,1,0,0\n"}, ("--closure-sigma", "1,1,1"), ":2: column t2: 1 is t1, too"),
-        ({"closures": "t1,t2,dx,dy,dtheta\n1,2,1,0,0\n"}, (), ":2: unknown noise of this closure; --closure-sigma"),
-        ({"fixes": "t,x,y\n0.5,1,1\n"}, ("--closure-sigma", "1,1,1"), "--closure-sigma 1,1,1: there are none"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("parts", "words", "said"), [
+    ({"fixes": "t,x,y,sx,sy\n0.5,1,2,,\n"}, (), "fix.csv:2: unknown noise of this fix; --fix-sigma SX,SY (m)"),
+    ({"fixes": "t,x,y\n0.5,1,\n"}, ("--fix-sigma", "1,1"), "fix.csv:2: column y: blank; both x and y, or neither"),
+    ({"fixes": "frame,x,y\n4,1,1\n"}, ("--fix-sigma", "1,1"), ":2: column frame: 4 is out of range; the odometry"),
+    ({"fixes": "t,x,y,sx\n0.5,1,1,-1\n"}, ("--fix-sigma", "1,1"), ":2: column sx: -1 is no standard deviation > 0"),
+    ({"fixes": "t,x,y\n99,1,1\n"}, ("--fix-sigma", "1,1"), "fixes from 99 to 99 s, odometry from 0 to 3 s do not"),
+    ({"closures": "t1,t2,dx,dy,dtheta\n1,1,1,0,0\n"}, ("--closure-sigma", "1,1,1"), ":2: column t2: 1 is t1, too"),
+    ({"closures": "t1,t2,dx,dy,dtheta\n1,2,1,0,0\n"}, (), ":2: unknown noise of this closure; --closure-sigma"),
+    ({"fixes": "t,x,y\n0.5,1,1\n"}, ("--closure-sigma", "1,1,1"), "--closure-sigma 1,1,1: there are none"),
+])  # fmt: skip
 def test_one_line_says_what_is_wrong(table, parts, words, said):
     assert said in table(POSES, parts, *words, status=2)
 

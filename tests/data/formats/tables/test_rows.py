@@ -51,12 +51,10 @@ def test_rows_before_the_first_message_of_a_sensor_are_left_out(rows):
 @pytest.mark.parametrize("twice", ["odometry", "observations", "fixes", "closures", "truth", "map"])
 def test_a_repeated_row_counts_once_in_every_file(rows, twice):
     parts = {
-        "observations": ["t,x,y,label", "1,2,0,4", "2,3,0,5"],
-        "fixes": ["t,x,y,sx,sy", "1,0.5,0,1,1", "2,1,0,1,1"],
-        "closures": ["t1,t2,dx,dy,dtheta,sx,sy,stheta", "0,4,2,0,0,1,1,1"],
-        "truth": ["t,x,y,theta", *DRIVE],
+        "observations": ["t,x,y,label", "1,2,0,4", "2,3,0,5"], "fixes": ["t,x,y,sx,sy", "1,0.5,0,1,1", "2,1,0,1,1"],
+        "closures": ["t1,t2,dx,dy,dtheta,sx,sy,stheta", "0,4,2,0,0,1,1,1"], "truth": ["t,x,y,theta", *DRIVE],
         "map": ["id,x,y", "4,2.5,0", "5,4,0"],
-    }
+    }  # fmt: skip
     parts = {role: "\n".join([head, *(row for row in rows for _ in range(1 + (role == twice)))]) + "\n"
              for role, (head, *rows) in parts.items()}  # fmt: skip
     odometry = [row for row in DRIVE for _ in range(1 + (twice == "odometry"))]
@@ -100,10 +98,8 @@ def test_a_table_with_usual_names_and_units_needs_no_flag(tmp_path, capsys):
     assert log.recorded.observations.z[1] == pytest.approx([2.6, np.radians(12.0)])
     assert log.recorded.increments.mean[1] == pytest.approx([0.5, 0.0, np.radians(5.0)], abs=1e-9)
     assert {q for q, origin in log.origins.items() if origin == "assumed"} >= {
-        "odometry_noise",
-        "observation_noise",
-        "prior",
-    }
+        "odometry_noise", "observation_noise", "prior",
+    }  # fmt: skip
     assert "theta of odometry is read from yaw_deg, in deg" in capsys.readouterr().out
 
 

@@ -263,10 +263,9 @@ def test_the_flag_moves_the_stamps_and_says_so(files, capsys):
     assert "were added to its stamps, where its speeds and turn rates fit" in said["auto"][1]
 
 
-@pytest.mark.parametrize(
-    ("flag", "said"),
-    [("soon", "a number of seconds or auto is needed"), ("truth=1", "move the result by the negative")],
-)
+@pytest.mark.parametrize(("flag", "said"), [
+    ("soon", "a number of seconds or auto is needed"), ("truth=1", "move the result by the negative"),
+])  # fmt: skip
 def test_other_values_are_refused(files, flag, said, refused):
     assert said in refused(score, [*files, "--time-offset", flag])
 

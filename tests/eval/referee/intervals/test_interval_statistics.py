@@ -98,13 +98,11 @@ def test_coverage_of_simulated_logs(world, logs, least):
     each = [[intervals(r[i].distance ** 2, r[i].nees["pose"], rng) for r in runs] for i in range(2)]
     pairs = [intervals(tuple(e.distance**2 for e in r), tuple(e.nees["pose"] for e in r), rng) for r in runs]
     right = {
-        "ekf RMSE": ([e[0] for e in each[0]], np.sqrt(mse[0])),
-        "ekf NEES": ([e[1] for e in each[0]], chi[0]),
-        "batch RMSE": ([e[0] for e in each[1]], np.sqrt(mse[1])),
-        "batch NEES": ([e[1] for e in each[1]], chi[1]),
+        "ekf RMSE": ([e[0] for e in each[0]], np.sqrt(mse[0])), "ekf NEES": ([e[1] for e in each[0]], chi[0]),
+        "batch RMSE": ([e[0] for e in each[1]], np.sqrt(mse[1])), "batch NEES": ([e[1] for e in each[1]], chi[1]),
         "difference RMSE": ([e[0] for e in pairs], np.sqrt(mse[0]) - np.sqrt(mse[1])),
         "difference NEES": ([e[1] for e in pairs], chi[0] - chi[1]),
-    }
+    }  # fmt: skip
     for what, (found, value) in right.items():
         given, held = shares([not f.why for f in found], [f.lower <= value <= f.upper for f in found])
         block = np.nanmedian([f.block for f in found])

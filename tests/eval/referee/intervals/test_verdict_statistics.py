@@ -124,16 +124,14 @@ def table(matched, half_noise, double_noise):
         for n in SIZES:
             right = verdicts(matched, name, n)
             rows[name, n] = {
-                "accept": share(right, *ACCEPTED),
-                "over": share(right, *ABOVE),
-                "conserv.": share(right, *BELOW),
+                "accept": share(right, *ACCEPTED), "over": share(right, *ABOVE), "conserv.": share(right, *BELOW),
                 "p < 1 %": float(np.mean([v.p_value < 0.01 for v in right])),
                 "P x 0.9": share(verdicts(matched, name, n, 0.9), *ABOVE),
                 "P x 0.8": share(verdicts(matched, name, n, 0.8), *ABOVE),
                 "stated": float(np.mean([v.power for v in right])),
                 "Q x 0.5": share(verdicts(half_noise, name, n), *ABOVE),
                 "Q x 2": share(verdicts(double_noise, name, n), *BELOW),
-            }
+            }  # fmt: skip
     return rows
 
 

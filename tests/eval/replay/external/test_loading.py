@@ -86,10 +86,7 @@ def test_the_constructor_says_which_tasks_it_does_or_an_attribute(write, head, t
 
 
 @pytest.mark.parametrize(("code", "words"), [
-    (
-        f"class F:\n    def __init__(self, prior): ...{METHODS}",
-        r"takes \(prior\); one of \(prior, sensor, options\)",
-    ),
+    (f"class F:\n    def __init__(self, prior): ...{METHODS}", r"takes \(prior\); one of \(prior, sensor, options\)"),
     (f"class F:\n    tasks = ('fly',){METHODS}", r"n.tasks is \('fly',\); some of localization, slam are needed"),
     ("class F:\n    def predict(self): ...", "no method 'update'; an estimator has predict, update, estimate"),
 ])  # fmt: skip
@@ -151,17 +148,14 @@ def test_without_a_name_it_has_that_of_the_attribute_unless_that_reads_like_ours
     ("./nope.py:X", "--estimator ./nope.py:X: there is no file ./nope.py"),
     ("mine.py", "mine.py: unknown; known: dead-reckoning, ekf"),
     ("./mine.py:", r"\[NAME=\]package.module:Attribute or \[NAME=\]./file.py:Attribute is needed"),
-    ("pack:", "is needed"),
-    ("./pack:Filter", "there is no file ./pack"),
+    ("pack:", "is needed"), ("./pack:Filter", "there is no file ./pack"),
     ("ekf=./mine.py:Filter", "'ekf' would be taken for our estimator 'ekf'"),
     ("EKF=./mine.py:Filter", "'EKF' would be taken for our estimator 'ekf'"),
     ("a+b=./mine.py:Filter", r"'a\+b' cannot be part of file names; letters, digits"),
-    ("../x=./mine.py:Filter", "cannot be part of file names"),
-    (f"{41 * 'x'}=./mine.py:Filter", "at most 40"),
+    ("../x=./mine.py:Filter", "cannot be part of file names"), (f"{41 * 'x'}=./mine.py:Filter", "at most 40"),
     ("m=./mine.py:Filter,m=./mine.py:EKF", "the name m is that of m=./mine.py:Filter, too"),
     ("m=./mine.py:Filter,M=./mine.py:EKF", "the name M is that of"),
-    ("m=./mine.py:Filter,m=./mine.py:Filter", "named twice"),
-    ("ekf,ekf", "named twice"),
+    ("m=./mine.py:Filter,m=./mine.py:Filter", "named twice"), ("ekf,ekf", "named twice"),
 ])  # fmt: skip
 def test_what_cannot_be_is_said_in_one_line(here, text, words):
     with pytest.raises(UsageError, match=words) as fault:

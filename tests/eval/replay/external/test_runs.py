@@ -142,8 +142,7 @@ NEW = DECISIONS == -1
 
 
 @pytest.mark.parametrize(("given", "words"), [
-    (None, "returned None; .mean, covariance. is needed"),
-    ((1, 2, 3), "returned a tuple of 3"),
+    (None, "returned None; .mean, covariance. is needed"), ((1, 2, 3), "returned a tuple of 3"),
     (np.zeros(4), r"the mean has shape \(4,\); \(3,\) is needed"),
     (np.array([0.0, np.nan, 0.0]), "the mean is not finite"),
     ((np.zeros(3), np.eye(2)), r"the covariance has shape \(2, 2\); \(3, 3\)"),
@@ -193,8 +192,7 @@ def test_an_update_need_not_say_what_it_did():
 
 
 @pytest.mark.parametrize(("given", "words"), [
-    (3, "returned an int; None, a data.result.Updated, or a dict"),
-    ({"nees": 3}, "a dict with some of its fields"),
+    (3, "returned an int; None, a data.result.Updated, or a dict"), ({"nees": 3}, "a dict with some of its fields"),
     ({"used": np.ones(3, bool)}, r"used is bool \(3,\); bool \(4,\) is needed"),
     ({"created": [8, -1, -1, 7]}, r"created is \[8, -1, -1, 7\]; landmarks are numbered in the order"),
     ({"created": [-1, 7, -1, -1]}, "order of their creation"),
@@ -222,8 +220,7 @@ def test_an_expectation_that_cannot_be_is_said(given, words):
 
 
 @pytest.mark.parametrize(("returned", "words"), [
-    (None, "whole numbers are needed"),
-    ([0.0, 1.0], "whole numbers are needed"),
+    (None, "whole numbers are needed"), ([0.0, 1.0], "whole numbers are needed"),
     ([0, 1, 2], r"has shape \(3,\); \(2,\) is needed"),
     ([7, -1], "decision 7 about observation 0 names no candidate; the number of one, NEW .-1. or DISCARD .-2."),
     ([-1, -3], "decision -3 about observation 1"),

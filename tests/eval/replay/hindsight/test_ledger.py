@@ -353,10 +353,9 @@ def absent(expected, seen, decisions, sensor=SENSOR, bearing=0.01):
     return missing(e, np.array(decisions, np.int64), sensor)[0].tolist()
 
 
-@pytest.mark.parametrize(
-    ("seen", "hidden"),
-    [([3.0, 0.9 * SHADOW], True), ([3.0, -0.9 * SHADOW], True), ([3.0, 1.1 * SHADOW], False), ([5.1, 0.0], False)],
-)
+@pytest.mark.parametrize(("seen", "hidden"), [
+    ([3.0, 0.9 * SHADOW], True), ([3.0, -0.9 * SHADOW], True), ([3.0, 1.1 * SHADOW], False), ([5.1, 0.0], False),
+])  # fmt: skip
 def test_what_is_nearer_in_the_same_direction_hides_it(seen, hidden):
     assert absent([[5.0, 0.0]], [[2.0, 0.7], seen], [-1, -1]) == [not hidden]
 

@@ -111,10 +111,8 @@ def test_it_is_bayes_rule_for_the_three_kinds(opportunities, p, c):
 
 
 @pytest.mark.parametrize(("shares", "rates", "spread"), [
-    ((0.6, 0.6, 0.4, 0.5), (0.8, 0.95, 0.6, 0.9), 30.0),
-    ((0.2, 0.3, 0.4, 0.5), (0.3, 0.9, 0.6, 0.5), 30.0),
-    ((0.5, 0.8, 0.5, 0.4), (0.05, 0.7, 0.3, 0.2), 10.0),
-    ((0.7, 0.8, 0.5, 0.4), (0.3, 0.7, 0.3, 0.4), 2.0),
+    ((0.6, 0.6, 0.4, 0.5), (0.8, 0.95, 0.6, 0.9), 30.0), ((0.2, 0.3, 0.4, 0.5), (0.3, 0.9, 0.6, 0.5), 30.0),
+    ((0.5, 0.8, 0.5, 0.4), (0.05, 0.7, 0.3, 0.2), 10.0), ((0.7, 0.8, 0.5, 0.4), (0.3, 0.7, 0.3, 0.4), 2.0),
 ])  # fmt: skip
 def test_what_a_log_is_like_is_found_again(shares, rates, spread):
     p = Persistence(np.array(shares), spread * np.array(rates), spread * (1.0 - np.array(rates)))

@@ -29,10 +29,9 @@ def rmse(run, log, phase="online"):
 
 
 # seed 8 has a joint marginal that gtsam takes for singular
-@pytest.mark.parametrize(
-    ("name", "seeds"),
-    [("ekf", [9]), *(pytest.param(*case, marks=pytest.mark.slow) for case in (("ekf-iterated", [9]), ("isam2", [8])))],
-)
+@pytest.mark.parametrize(("name", "seeds"), [
+    ("ekf", [9]), *(pytest.param(*case, marks=pytest.mark.slow) for case in (("ekf-iterated", [9]), ("isam2", [8]))),
+])  # fmt: skip
 def test_the_corridor_is_mapped_without_odometry_and_without_labels(primed, name, seeds):
     for log in (primed[SEEDS.index(seed)] for seed in seeds):
         (run,) = compare(log.inputs(), "slam", [name], METHOD)

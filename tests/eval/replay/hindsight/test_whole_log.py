@@ -92,10 +92,9 @@ def ran(name, estimators=("batch",)):
     return log, compare(log.inputs(labels=False).without_map(), "slam", estimators, METHOD)
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["arena:1:frames=80", "corridor:3", f"arena:0:{SPARSE}", pytest.param("park:0:frames=500", marks=pytest.mark.slow)],
-)
+@pytest.mark.parametrize("name", [
+    "arena:1:frames=80", "corridor:3", f"arena:0:{SPARSE}", pytest.param("park:0:frames=500", marks=pytest.mark.slow),
+])  # fmt: skip
 def test_the_nis_of_the_end_is_as_expected_where_the_noise_is_as_stated(name):
     _, (run,) = ran(name)
     total, dof = nis_of(run, "final")

@@ -60,12 +60,8 @@ def test_it_fits_and_says_what_was_left_out(width):
 def test_rows_have_names_to_read_and_what_is_the_same_in_all_is_said_once():
     body = tabular(sheet(FRAME, "t", "Errors", "page").tex)
     for name in (
-        "dead reckoning &",
-        "EKF, JCBB &",
-        "iSAM2, JCBB, hindsight (online)",
-        "(final)",
-        "batch, Huber, known",
-    ):
+        "dead reckoning &", "EKF, JCBB &", "iSAM2, JCBB, hindsight (online)", "(final)", "batch, Huber, known",
+    ):  # fmt: skip
         assert name in body
     assert [latex.log(n) for n in ("victoria-park", "arena:0", "corridor:3:people+range=8", "my_log", "x:y")] == [
         "Victoria Park", "arena 0", "corridor 3 (people, range 8)", "my_log", "x:y",

@@ -36,11 +36,9 @@ def log_arrays() -> dict[str, np.ndarray]:
     xyz[:, 0, :4] = 0
     xyz[:, 1, :4] = np.nan
     return {
-        "timestamp": np.array([10.0, 10.1, 10.25, 10.3]),
-        "commands": rng.normal(size=(FRAMES, 2)),
-        "rgb": rng.integers(0, 256, (FRAMES, H, W, 3), dtype=np.uint8),
-        "xyz": xyz,
-    }
+        "timestamp": np.array([10.0, 10.1, 10.25, 10.3]), "commands": rng.normal(size=(FRAMES, 2)),
+        "rgb": rng.integers(0, 256, (FRAMES, H, W, 3), dtype=np.uint8), "xyz": xyz,
+    }  # fmt: skip
 
 
 def as_structs(columns: dict[str, Any]) -> np.ndarray:

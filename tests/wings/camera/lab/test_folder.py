@@ -41,7 +41,7 @@ def test_an_image_that_cannot_be_read_and_a_wrong_number_of_images_are_named(tmp
     handmade.refuse(folder, r"landmark: missing; a folder with one reference image per picture")
 
 
-def test_a_lab_folder_is_known_by_what_it_holds(tmp_path: Path) -> None:
+def test_a_lab_folder_is_known_by_what_it_holds_be_it_reference_images_or_a_log_alone(tmp_path: Path) -> None:
     folder = handmade.lab(tmp_path / "lab")
     assert is_lab(folder)
     assert not is_lab(tmp_path / "nowhere")
@@ -56,9 +56,6 @@ def test_a_lab_folder_is_known_by_what_it_holds(tmp_path: Path) -> None:
     (folder / "settings.mat").rename(other / "a.mat")
     assert is_lab(other)
     assert is_lab(folder)
-
-
-def test_a_folder_with_reference_images_alone_or_a_log_alone_is_one_with_a_fault(tmp_path: Path) -> None:
     pictures, log, neither = tmp_path / "pictures", tmp_path / "log", tmp_path / "neither"
     (pictures / "landmark").mkdir(parents=True)
     assert is_lab(pictures)
@@ -131,18 +128,12 @@ def test_the_digest_depends_on_configuration_log_and_images_alone(tmp_path: Path
     ("camera_to_body", "T", None, r"camera_to_body: no field T; R, T are needed"),
     ("landmark", "xpos", np.zeros((4, 2)), r"landmark.xpos: size 4x2; a row of 4 corners per picture"),
     ("landmark", "ypos", np.zeros((3, 4)), r"landmark.ypos: size 3x4, but xpos has size 2x4"),
-    (
-        "landmark",
-        "ypos",
-        [[1, 0, 0, 1], [1, 0, np.nan, 1]],
-        r"landmark.ypos: nan is not a number.* \(element 2,3\)",
-    ),
+    ("landmark", "ypos", [[1, 0, 0, 1], [1, 0, np.nan, 1]], r"landmark.ypos: nan is not a number.* \(element 2,3\)"),
     ("landmark", "ypos", [[1, 0, 0, 1], [1, 1, 0, 0]], r"xpos\(2,:\), ypos\(2,:\): a picture without width"),
     ("landmark", "ypos", None, r"landmark: no field ypos"),
     ("landmark", "xpos", "text", r"landmark.xpos: text; numbers are needed"),
     ("landmark", "xpos", {"a": 1}, r"landmark.xpos: a struct; numbers are needed"),
-    ("pose_init", "theta0", np.nan, r"theta0: nan"),
-    ("pose_init", "x0", [1, 2], r"x0: size 1x2; one number is needed"),
+    ("pose_init", "theta0", np.nan, r"theta0: nan"), ("pose_init", "x0", [1, 2], r"x0: size 1x2; one number is needed"),
     ("pose_init", "sigma_y", -3.0, r"sigma_y: -3; a standard deviation is not negative"),
     ("pose_init", "sigma_theta", None, r"no field sigma_theta; x0, y0, theta0, sigma_x, sigma_y, sigma_theta"),
     ("pose_init", None, None, r"no struct pose_init; camera_to_body, landmark, pose_init are needed"),

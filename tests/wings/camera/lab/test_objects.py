@@ -39,14 +39,12 @@ FORMS: dict[str, Callable[[dict[str, Any], Path], Any]] = {
     "a dict of lists": lambda c, _: {name: list(column) for name, column in c.items()},
     "a dict of object arrays (N, 1)": lambda c, _: columns_of_objects(c, (-1, 1)),
     "a dict of object arrays (1, N)": lambda c, _: columns_of_objects(c, (1, -1)),
-    "dicts (N, 1)": lambda c, _: handmade.as_dicts(c).reshape(-1, 1),
-    "dicts (N,)": lambda c, _: handmade.as_dicts(c),
-    "a list of dicts": lambda c, _: list(handmade.as_dicts(c)),
-    "a struct array": lambda c, _: handmade.as_structs(c),
+    "dicts (N, 1)": lambda c, _: handmade.as_dicts(c).reshape(-1, 1), "dicts (N,)": lambda c, _: handmade.as_dicts(c),
+    "a list of dicts": lambda c, _: list(handmade.as_dicts(c)), "a struct array": lambda c, _: handmade.as_structs(c),
     "MATLAB's struct array (1, N)": through_matlab,
     "MATLAB's struct array (N, 1)": lambda c, folder: through_matlab(c, folder).T,
     "a dict that calls it log": lambda c, folder: {"__header__": b"", "log": through_matlab(c, folder)},
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".pkl"])

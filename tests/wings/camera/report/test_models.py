@@ -94,11 +94,9 @@ def test_the_evaluator_of_formulas_knows_arithmetic():
 
 AFTER_X, AFTER_U = (rf"\dfrac{{\partial f}}{{\partial \mathbf{{{of}}}}} =" for of in "xu")  # motion
 MOTIONS = [
-    ((1.0, -2.0, 0.4), (0.3, 0.5), 0.25),
-    ((0.0, 3.0, np.pi - 0.01), (0.8, 1.5), 0.1),
-    ((-4.0, 0.2, -2.9), (-0.5, -0.9), 0.5),
-    ((2.0, 2.0, 1.6), (0.4, 1e-3), 0.2),
-]
+    ((1.0, -2.0, 0.4), (0.3, 0.5), 0.25), ((0.0, 3.0, np.pi - 0.01), (0.8, 1.5), 0.1),
+    ((-4.0, 0.2, -2.9), (-0.5, -0.9), 0.5), ((2.0, 2.0, 1.6), (0.4, 1e-3), 0.2),
+]  # fmt: skip
 
 
 def moved(pose: np.ndarray, control: np.ndarray, dt: float) -> np.ndarray:
@@ -149,10 +147,7 @@ def test_the_typeset_observation_model_and_its_jacobians_are_the_codes(pose, cor
     chain = array(r"\mathrm{Rot}(\varphi) &=", value) @ se2.rotation(pose[2]).T @ (corner - pose[:2]) + shift
     assert chain == pytest.approx(seen, abs=1e-12)
     value |= {"x^c_j": seen[0], "z^c_j": seen[1]}
-    H, L = (
-        array(r"\dfrac{\partial h_j}{\partial \mathbf{x}} =", value),
-        array(r"\dfrac{\partial h_j}{\partial \mathbf{l}} =", value),
-    )
+    H, L = (array(rf"\dfrac{{\partial h_j}}{{\partial \mathbf{{{of}}}}} =", value) for of in "xl")
     assert pytest.approx(central(lambda p: sensor.predict(p, corner[None])[0], pose), abs=1e-8) == H
     assert pytest.approx(central(lambda c: sensor.predict(pose, c[None])[0], corner), abs=1e-8) == L
     Hx, Hl = sensor.jacobians(pose, corner[None])

@@ -76,12 +76,9 @@ def test_the_field_of_view_is_what_the_sensor_says_is_in_view():
 def test_matching_shows_all_methods_side_by_side_with_their_counts_and_marks_the_one_that_updates():
     fig = painted(pictures.paint_matching, problem())
     assert titles(fig) == [
-        "ground truth: 2 paired, 1 new, 0 discarded",
-        "NN: TP 1  TN 1  FP 1  FN 0",
-        "SINGLES: TP 1  TN 1  FP 1  FN 0",
-        "ML: TP 1  TN 1  FP 1  FN 0",
-        "JCBB (updates): TP 1  TN 1  FP 1  FN 0",
-    ]
+        "ground truth: 2 paired, 1 new, 0 discarded", "NN: TP 1  TN 1  FP 1  FN 0", "SINGLES: TP 1  TN 1  FP 1  FN 0",
+        "ML: TP 1  TN 1  FP 1  FN 0", "JCBB (updates): TP 1  TN 1  FP 1  FN 0",
+    ]  # fmt: skip
     assert [ax.spines["left"].get_linewidth() > 1.5 for ax in fig.axes] == [False] * 4 + [True]
     # landmarks that somebody may be paired with are named; the wrong observation is in every method's panel, all of
     # them in the first
@@ -96,7 +93,7 @@ def test_an_enlarged_frame_shows_a_wrong_observation_its_landmark_and_the_right_
 
 
 @pytest.mark.slow
-def test_another_method_gets_a_panel_of_its_own_and_one_without_decisions_says_why():
+def test_another_method_gets_a_panel_of_its_own_one_without_decisions_says_why_and_without_truth_they_are_counted():
     m = problem()
     more = {**m.decisions, "ml": "singular innovation covariance", "gnn": m.decisions["nn"]}
     truth = {**m.truth, "gnn": m.truth["nn"]}
@@ -104,11 +101,6 @@ def test_another_method_gets_a_panel_of_its_own_and_one_without_decisions_says_w
     assert len(fig.axes) == 6
     assert titles(fig)[3] == "ML: singular innovation covariance"
     assert titles(fig)[5].startswith("GNN (updates): TP 1")
-
-
-@pytest.mark.slow
-def test_without_truth_decisions_are_counted_instead_of_judged():
-    m = problem()
     decisions = {name: d for name, d in m.decisions.items() if name != "truth"}
     fig = painted(pictures.paint_matching, dataclasses.replace(m, decisions=decisions, truth={}, right=None))
     assert titles(fig)[0] == "NN: 2 paired, 1 new, 0 discarded"

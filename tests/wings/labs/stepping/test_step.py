@@ -185,8 +185,7 @@ def test_an_interrupt_while_a_file_is_written_leaves_no_part_of_it(tmp_path, mon
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
-    ([], "no log: one log is needed"),
-    (["--log", "nowhere"], "no such log or folder"),
+    ([], "no log: one log is needed"), (["--log", "nowhere"], "no such log or folder"),
     (["--log", "corridor:0", "--log", "arena:0"], "one log is needed"),
     (["--log", "corridor:0", "--gate", "1"], "between 0 and 1"),
     (["--log", "corridor:0", "--gate", ""], "a number is needed"),
@@ -200,6 +199,7 @@ def test_an_interrupt_while_a_file_is_written_leaves_no_part_of_it(tmp_path, mon
     (["--log", "corridor:0", "--frames", "1.5"], "a whole number is needed"),
     (["--log", "victoria-park", "--task", "localization"], "has no map"),
     (["--log", "corridor:0", "--save", __file__], "--save"),
+    (["corridor:0", "--maintain", "--run-through"], "for slam only; type --task slam"),
 ])  # fmt: skip
 def test_nonsense_is_one_line_and_exit_2(arguments, words, refused):
     assert words in refused(main, arguments)
@@ -213,10 +213,6 @@ def test_help_explains_every_flag_and_shows_it(capsys):
     for flag in ("--association", "--estimator", "--task", "--gate", "--new-gate", "--in-view", "--maintain",
                  "--save", "--run-through", "--frames"):  # fmt: skip
         assert out.count(flag) >= 2, flag  # explained, and shown
-
-
-def test_maintenance_needs_slam(refused):
-    assert "for slam only; type --task slam" in refused(main, ["corridor:0", "--maintain", "--run-through"])
 
 
 WINDOWS = SimpleNamespace(figure=pyplot.figure, pause=lambda _: None)

@@ -143,8 +143,6 @@ def test_a_run_that_stopped_says_where_and_tells_no_step_after_it():
 
 
 LAB = Setup(new_gate=0.99)
-
-
 RULE = "-" * 62
 
 
@@ -179,10 +177,8 @@ def test_the_worked_example_has_counts_4_1_1_1():
 def test_counts_are_left_out_where_the_hypothesis_is_right():
     truth = TruthRow(np.array([2, -1]), _outcomes("tp", "tn"))
     assert lab_block(Step(4, truth, np.array([2, -2]), np.array([-1, -1]))).split("\n")[2:] == [
-        "GROUND  TRUTH:  3   0  ",
-        "MY HYPOTHESIS:  3   0  ",
-        "Correct (1/0)?  1   1  ",
-    ]
+        "GROUND  TRUTH:  3   0  ", "MY HYPOTHESIS:  3   0  ", "Correct (1/0)?  1   1  ",
+    ]  # fmt: skip
     created = lab_block(Step(4, truth, np.array([2, -1]), np.array([-1, 3])))
     assert created.split("\n")[-2:] == ["", "NEW:  4   "]
     wrong = TruthRow(np.array([2]), _outcomes("fn"))

@@ -79,15 +79,11 @@ def building(request):
 
 
 def test_every_place_can_be_reached(building):
-    n = len(building.ways.place)
-    assert (
-        connected_components(
-            csr_array((building.ways.length, building.ways.edge.T.astype(np.int32)), shape=(n, n)), False
-        )[0]
-        == 1
-    )
-    route = building.ways.route(int(building.ways.target[0]), int(building.ways.target[-1]), building.ways.length)
-    steps = {frozenset(e) for e in building.ways.edge.tolist()}
+    ways, n = building.ways, len(building.ways.place)
+    graph = csr_array((ways.length, ways.edge.T.astype(np.int32)), shape=(n, n))
+    assert connected_components(graph, False)[0] == 1
+    route = ways.route(int(ways.target[0]), int(ways.target[-1]), ways.length)
+    steps = {frozenset(e) for e in ways.edge.tolist()}
     assert all(frozenset(pair) in steps for pair in pairwise(route))
 
 

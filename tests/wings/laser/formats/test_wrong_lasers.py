@@ -198,7 +198,7 @@ def test_a_stamp_far_above_those_that_follow_does_not_stop_the_clock():
     assert made_increasing(mended).tolist() == list(range(20))
 
 
-def test_a_clock_that_is_set_back_goes_on_and_a_lost_stamp_is_interpolated(driven, load):
+def test_a_clock_that_is_set_back_goes_on_a_lost_stamp_is_interpolated_and_one_that_does_not_run_is_none(driven, load):
     pose, stamp, ranges = (a[:60] for a in driven)
     right = load(text(pose, stamp, ranges)).recorded.time
     for wrong in (np.where(np.arange(60) < 30, stamp, stamp - 80.0), np.where(np.arange(60) % 20 == 7, 0.0, stamp)):
@@ -206,10 +206,6 @@ def test_a_clock_that_is_set_back_goes_on_and_a_lost_stamp_is_interpolated(drive
         assert asked(log) == set()
         assert log.recorded.time == pytest.approx(right, abs=1e-3)
         assert any("clock was set back at frame 30" in n or "far below" in n for n in log.notes)
-
-
-def test_a_clock_that_does_not_run_is_none(driven, load):
-    pose, stamp, ranges = (a[:60] for a in driven)
     log = load(text(pose, 0.0 * stamp, ranges))
     assert log.recorded.time_is_index
     assert asked(log) == set()

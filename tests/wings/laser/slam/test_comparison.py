@@ -34,17 +34,14 @@ def runs(log):
     return dict(zip(names, compare(log.recorded, "slam", names, "scan"), strict=True))
 
 
-def test_all_back_ends_get_the_same_chain_and_loop_closures(runs):
+def test_all_back_ends_get_the_same_chain_and_loop_closures_which_cannot_be_changed(runs):
     first = runs["ekf"]
     assert len(first.loops) > 5
     for name in ("isam2", "batch", "gnc"):
         assert runs[name].chain is first.chain
         assert runs[name].loops is first.loops
     assert runs["dead-reckoning"].loops is None
-
-
-def test_what_all_back_ends_share_cannot_be_changed(runs):
-    for shared in (runs["ekf"].chain, runs["ekf"].loops):
+    for shared in (first.chain, first.loops):
         with pytest.raises(ValueError, match="read-only"):
             shared.covariance[0] = 0.0
 
@@ -89,6 +86,8 @@ def test_variances_are_scaled_by_what_loop_closures_tell_and_no_pose_moves_by_it
 
 def test_with_enough_loop_closures_every_estimator_gets_the_scale_and_no_pose_moves(log, runs, monkeypatch):
     given = runs["batch"]
+    assert (given.loops.believed >= 0).sum() < FEWEST
+    assert given.scale is None, "with few no scale is learned"
     front = FrontEndResult(given.chain, given.loops, given.last, given.frame_seconds, given.key_pose)
     monkeypatch.setattr(front_end, "consistent_front_end", lambda inputs, parameters: (front, None))
     monkeypatch.setattr(front_end, "FEWEST", 1)
@@ -104,11 +103,6 @@ def test_with_enough_loop_closures_every_estimator_gets_the_scale_and_no_pose_mo
     nis, dof = smoothed.total_nis  # chi-square of the graph is that of its degrees of freedom, once the scale is in
     assert nis == pytest.approx(dof, rel=0.5)
     assert given.total_nis[0] == pytest.approx(factor * nis, rel=1e-3)
-
-
-def test_with_few_loop_closures_no_scale_is_learned(runs):
-    assert (runs["batch"].loops.believed >= 0).sum() < FEWEST
-    assert runs["batch"].scale is None
 
 
 def test_between_two_scans_the_odometry_is_made_to_lead_from_the_one_to_the_other(log):
@@ -176,10 +170,6 @@ def laser_log(seed=1, keys=100):
 LOG = laser_log()
 
 
-def backend(name, inputs, chain, loops, **more):
-    return estimated(name, inputs, chain, loops, **more)
-
-
 def rmse(pose, truth):
     return float(np.sqrt(((pose - truth)[:, :2] ** 2).sum(1).mean()))
 
@@ -187,7 +177,7 @@ def rmse(pose, truth):
 @pytest.mark.parametrize("name", OF_SCANS[1:])
 def test_every_back_end_has_a_path_of_all_frames_and_beats_wheels_alone(name):
     inputs, chain, loops, truth = LOG
-    solved = backend(name, inputs, chain, loops)
+    solved = estimated(name, inputs, chain, loops)
     run = solved.run
     assert name in ESTIMATORS
     assert (run.estimator, run.task, run.status) == (name, "slam", "ok")
@@ -213,7 +203,7 @@ def test_every_back_end_has_a_path_of_all_frames_and_beats_wheels_alone(name):
 
 def test_isam2_and_batch_end_at_the_same_optimum():
     inputs, chain, loops, _ = LOG
-    a, b = backend("isam2", inputs, chain, loops), backend("batch", inputs, chain, loops)
+    a, b = estimated("isam2", inputs, chain, loops), estimated("batch", inputs, chain, loops)
     sigma = np.sqrt(np.diagonal(b.run.final.covariance[1:], axis1=1, axis2=2))
     assert np.abs(pose_error(a.run.final.pose[1:], b.run.final.pose[1:]) / sigma).max() < 1e-3
     assert a.run.total_nis == pytest.approx(b.run.total_nis)
@@ -225,7 +215,7 @@ def test_online_nothing_is_known_of_what_comes_later(name):
     cut = int(loops.believed[20])
     known = loops.believed <= cut
     past = Loops(*(getattr(loops, f)[known] for f in ("key1", "key2", "relative", "covariance", "score", "believed")))
-    whole, part = (backend(name, inputs, chain, each).run.online for each in (loops, past))
+    whole, part = (estimated(name, inputs, chain, each).run.online for each in (loops, past))
     same = chain.key <= cut
     np.testing.assert_array_equal(whole.pose[same], part.pose[same])
     np.testing.assert_array_equal(whole.covariance[same], part.covariance[same])
@@ -236,8 +226,8 @@ def test_online_nothing_is_known_of_what_comes_later(name):
 def test_a_loop_closure_counts_from_the_key_pose_at_which_it_is_believed(name):
     inputs, chain, loops, _ = LOG
     first = int(loops.believed[1:].min())
-    without = backend(name, inputs, chain, replace(loops, believed=np.full(len(loops), -1))).run.online
-    with_it = backend(name, inputs, chain, loops).run.online
+    without = estimated(name, inputs, chain, replace(loops, believed=np.full(len(loops), -1))).run.online
+    with_it = estimated(name, inputs, chain, loops).run.online
     before = chain.key < first
     np.testing.assert_array_equal(with_it.pose[before], without.pose[before])
     at = chain.frame[first]
@@ -252,6 +242,6 @@ def test_false_loop_closures_are_told_by_the_gate_and_by_gnc_and_their_weight_sa
     relative[i] = wrong
     bad = replace(loops, relative=relative)
     for name, kwargs in (("gnc", {}), ("ekf", {"gate": 0.9999}), ("batch-cauchy", {})):
-        solved = backend(name, inputs, chain, bad, **kwargs)
+        solved = estimated(name, inputs, chain, bad, **kwargs)
         assert (solved.weight[i] < 0.01).all()
         assert rmse(solved.run.trajectory(solved.run.phases[-1]).pose, truth) < 1.0

@@ -200,8 +200,7 @@ def test_a_file_that_is_there_stays(tmp_path):
 
 
 @pytest.mark.parametrize(("name", "association", "setup"), [
-    slow("ekf", "jcbb", Setup()),
-    ("ekf-iterated", "nn", Setup(gate=0.95, maintain=True)),
+    slow("ekf", "jcbb", Setup()), ("ekf-iterated", "nn", Setup(gate=0.95, maintain=True)),
     slow("ekf", "jcbb", Setup(deactivate_after=5.0)),
 ])  # fmt: skip
 @pytest.mark.slow

@@ -213,8 +213,7 @@ def test_the_ways_of_association_that_are_offered_are_those_it_takes(tmp_path, c
 
 
 @pytest.mark.parametrize(("more", "estimators", "associations", "by_walls"), [
-    ([], ("ekf-fej", "isam2"), ("jcbb", "scan"), "jcbb"),
-    (["--association", "scan"], ("isam2",), ("scan",), None),
+    ([], ("ekf-fej", "isam2"), ("jcbb", "scan"), "jcbb"), (["--association", "scan"], ("isam2",), ("scan",), None),
     (["--association", "nn"], ("ekf-fej", "isam2"), ("nn",), "nn"),
     (["--estimator", "isam2", "--association", "scan,ml"], ("isam2",), ("scan", "ml"), "ml"),
 ])  # fmt: skip
