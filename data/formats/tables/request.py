@@ -339,121 +339,19 @@ def settle(given: Given) -> Wanted:
         columns.period = table_files.quantity_with_unit(str(given["period"]), "time", "--period")
     if given[LENGTH]:
         columns.notes.append(f"lengths of flags without a unit are in {given[LENGTH]}, as --unit states")
-    if len(kinds := table_files.kinds_by_part(files["odometry"])) > 1:
-        files |= {role: path for role, path in kinds.items() if role == "odometry" or role not in files}
-        columns.notes.append("inferred: " + ", ".join(f"--{role} {path}" for role, path in kinds.items()))
-    read: dict[Path, TextTable] = {}  # a file with several roles is read once
-    for role, path in files.items():
-        count, seen = len(next(iter(read.values()), ())), role in (OBSERVATIONS, *several)
-        read |= {path: table_files.read_text(path, named.values(), count, seen=seen)} if path not in read else {}
-    for path in {files.get(SCANS, files["odometry"])} - {files.get(OBSERVATIONS)}:
-        read[path] = folded_up(read[path]) or read[path]
-    read[files["odometry"]] = table_files.stepped(read[files["odometry"]])
-    texts = {role: read[path] for role, path in files.items()}
-    columns.notes += [f"{path.name}: {table.cut}" for path, table in read.items() if table.cut]
-    for role in (r for r in ROLES[1:] if r not in texts):  # further parts in the file of the odometry
-        own = [n for key, n in named.items() if key.startswith(f"{role}.") and texts["odometry"].find(n) is not None]
-        if not own and role in ("truth", "fixes") and texts["odometry"].named:
-            own = columns.quiet.tells(texts["odometry"], role)
-        if not own and role == SCANS and not {OBSERVATIONS, *several} & {*files}:
-            own = wide_in(texts["odometry"], stated="scanner" in given)
-        if own:
-            files[role], texts[role] = files["odometry"], texts["odometry"]
-            columns.notes.append(f"inferred: --{role} {files[role]}, of its columns {', '.join(own)}")
-        arrays = role in ("map", "truth") and not own and is_arrays(files["odometry"])
-        if arrays and (layout := by_layout(texts["odometry"], role, alone=False)) is not None:
-            files[role], texts[role], told = files["odometry"], *_laid_out(texts["odometry"], role, columns, layout)
-            columns.notes.append(f"inferred: --{role} {files[role]}, {told}")
-    if not several and OBSERVATIONS not in texts:
-        there = any(key in STARRED[:2] or key.startswith(f"{OBSERVATIONS}.") for key in named)
-        there |= bool(table_files.stars(texts["odometry"]))
-        if there or not MEASURES & {*files} or columns.quiet.has(texts["odometry"], OBSERVATIONS, STARRED[:2]):
-            files[OBSERVATIONS], texts[OBSERVATIONS] = files["odometry"], texts["odometry"]
-    for role, table in texts.items():
+    parts = _Parts(files, {}, columns, named, (OBSERVATIONS, *several))
+    _read(parts)
+    _beside_odometry(parts, given)
+    for role, table in parts.texts.items():
         columns.take_series(table, role)
-    source = file_and_word(files["odometry"])
-    for role in (r for r in (OBSERVATIONS, *several) if r in texts and source[1] and texts[r] is not texts["odometry"]):
-        table, named_before = texts[role], any(columns.find(texts[role], role, q) is not None for q in ("t", "frame"))
-        if file_and_word(files[role])[0] == source[0] and not named_before:
-            number = np.searchsorted(texts["odometry"].line, table.line) - 1
-            texts[role] = table.beside("frame", np.maximum(number, 0))
-            columns.given = {**columns.given, f"{role}.frame": "frame"}
-            columns.notes.append(f"{files[role].name}: inferred: frame, of the row of odometry above each in the file")
-    unnamed = [r for r in texts if not {k.rpartition(".")[0] for k in named} & {"", r}]
-    if "map" in texts and not any(k.startswith("map.") or n in texts["map"].names for k, n in named.items()):
-        unnamed.append("map")
-    named_odometry = any(columns.quiet.has(texts["odometry"], "odometry", KINDS[k]) for k in ("velocities", "poses"))
-    for role in ("odometry",) * (not named_odometry) + ("truth", "map"):
-        known = any(key.startswith(f"{role}.") for key in columns.given)
-        if role in unnamed and not known and (layout := by_layout(texts[role], role)) is not None:
-            texts[role], told = _laid_out(texts[role], role, columns, layout)
-            columns.notes.append(f"{files[role].name}: inferred: {told}")
-    typed = {key.rpartition(".")[2] for key in named}
-    if OBSERVATIONS in texts and "map" not in texts and not typed & {"id", *table_files.IDS}:
-        looked, file = columns.quiet, texts[OBSERVATIONS]
-        ranges = looked.find(file, OBSERVATIONS, "range") is not None
-        if ranges and looked.find(file, OBSERVATIONS, "label") is None and (placed := landmarks_in_rows(file)):
-            texts[OBSERVATIONS], texts["map"], told = placed
-            files["map"] = files[OBSERVATIONS]
-            columns.notes.append(f"{files['map'].name}: inferred: {told}")
-    known = any(columns.quiet.has(texts["odometry"], "odometry", measured) for measured in KINDS.values())
-    if blind := texts.get(SCANS) is texts["odometry"] and not known and "odometry-kind" not in given:
-        for q in KINDS["poses"]:
-            texts["odometry"] = texts["odometry"].beside(q, np.zeros(len(texts[SCANS]), int))
-        columns.given = {**columns.given, **{f"odometry.{q}": q for q in KINDS["poses"]}}
-        columns.notes.append(f"{files[SCANS].name}: no odometry in it: matching of scans alone tells the motion")
-    kind = _kind(given, texts, columns, "odometry", tuple(KINDS))
-    beside = texts.get(OBSERVATIONS) is texts["odometry"] and not {"fixes", "observation-sigma"} & {*given}
-    if beside and "fixes" not in texts and _are_places(texts, columns, kind):
-        files["fixes"], texts["fixes"] = files.pop(OBSERVATIONS), texts.pop(OBSERVATIONS)
-        told = "x and y are places along which the odometry leads (--columns observations.x=NAME reads observations)"
-        columns.notes.append(f"inferred: --fixes {files['fixes']}, as its {told}")
-    for role in (r for r in unnamed if r in texts and r in (OBSERVATIONS, *several)):
-        if (found := seen_by_layout(texts[role], lambda: path_of(texts, columns, kind))) is not None:
-            texts[role], told, of, before = found
-            columns.read |= {(texts[role].path, name) for name in before}
-            columns.given = {key: name for key, name in columns.given.items() if key != f"{role}.frame"}
-            units.given.update({f"{role}.{q}": unit for q, unit in of.items()})
-            columns.notes.append(f"{files[role].name}: inferred: {told}, as which alone landmarks stand still")
-    for role in (r for r in (OBSERVATIONS, *several) if {r, "map"} <= {*texts}):
-        ids = [q for q in table_files.IDS if columns.quiet.find(texts[role], role, q) is not None]
-        if not ids and (same := named_alike(texts[role], texts["map"])) is not None:
-            columns.given = {**columns.given, f"{role}.label": same[0], "map.id": same[1]}
-            told = f"--columns {role}.label={same[0]},map.id={same[1]}, which hold the same names"
-            columns.notes.append(f"{files[role].name}: inferred: {told}")
-    for role in (OBSERVATIONS, *several):
-        stated = {q: named.get(f"{role}.{q}", named.get(q, "")) for q in (*STARRED, *table_files.IDS)}
-        deep = table_files.solid_stars(texts[role], stated) if role in texts else {}
-        stars = {q: n for q, n in {**stated, **deep}.items() if "*" in n}
-        if deep:
-            told = f"in {len(texts[role])} rows; the odometry has {len(texts['odometry'])}"
-            columns.notes.append(f"inferred: --columns {','.join(f'{q}={n}' for q, n in deep.items())}, {told}")
-        free = role in texts and not stars and not any(stated[q] for q in STARRED)
-        if free and (stars := table_files.stars(texts[role])):
-            columns.notes.append(f"inferred: --columns {','.join(f'{q}={n}' for q, n in stars.items())}")
-        if role in texts and stars:
-            file = texts[role]
-            columns.read |= {(file.path, n) for n in file.names for star in stars.values() if fnmatchcase(n, star)}
-            texts[role] = wide = table_files.unpivoted(texts[role], stars)
-            instant = any(columns.find(wide, role, q) is not None for q in ("t", "frame"))
-            if not instant and len(file) == len(texts["odometry"]):
-                texts[role] = wide.beside("frame", np.searchsorted(file.line, wide.line))
-                columns.notes.append(f"{file.path.name}: inferred: each of its {len(file)} rows is one of the odometry")
-            columns.notes += [f"{file.path.name}: {texts[role].cut}"] * bool(texts[role].cut)
-            if not {"label", "true_id"} & {*texts[role].names}:
-                told = "filled from the left, so they are no labels (--columns label=NAME* names some)"
-                columns.notes.append(f"inferred: columns {', '.join(stars.values())} are {told}")
-            taken = {*stars.values(), *(stated[q] for q in deep)}
-            columns.given = {k: n for k, n in columns.given.items() if n not in taken}
-    if kind == "ticks" and not {"ticks", "odometry-kind"} & {*given}:
-        name = texts["odometry"].names[columns.require(texts["odometry"], "odometry", ("left",))[0]]
-        parts, unit = words_of(name)
-        if {*parts} & {*table_files.SPEED}:
-            where = f"{files['odometry']}: {name} without --metres-per-tick, which of rad/s is the wheel's radius"
-            metres = 1.0 if "metres-per-tick" in given else table_files.factor("length/time", unit or "m/s", where)
-            given = {"metres-per-tick": f"{metres:.9g}", **given, "ticks": "rate"}
-            told = f"as {name} is a speed (in rad/s --metres-per-tick is the wheel's radius)"
-            columns.notes.append(f"inferred: --ticks rate --metres-per-tick {given['metres-per-tick']}, {told}")
+    _below_odometry(parts)
+    unnamed = _by_layout(parts)
+    blind = "odometry-kind" not in given and _blind(parts)
+    kind = _kind(given, parts.texts, columns, "odometry", tuple(KINDS))
+    _name_observations(parts, given, kind, unnamed)
+    for role in (r for r in parts.observing if r in parts.texts):
+        _take_stars(parts, role)
+    given, texts = _rates(parts, given) if kind == "ticks" else given, parts.texts
     for flag in ("hold", "integrate"):
         if flag in given and kind not in motion.STAMPED and (flag, given.get("ticks")) != ("hold", "rate"):
             raise UsageError(f"--{flag} {given[flag]}: for velocities; the odometry has {kind}")
@@ -480,6 +378,174 @@ def settle(given: Given) -> Wanted:
         blind=blind, assumed=("odometry_noise",) * ("odometry-sigma" not in given) + ("prior",) * starts,
         **_of_fixes(given, files, texts, columns.quiet),
     )  # fmt: skip
+
+
+@dataclass
+class _Parts:
+    """Files and tables by role, while those that nobody named are found."""
+
+    files: dict[str, Path]
+    texts: dict[str, TextTable]
+    columns: Columns
+    named: Mapping[str, str]  # stated columns
+    observing: tuple[str, ...]  # roles of observations, the only one or the names of sensors
+
+    def find(self, role: str, quantities: Sequence[str]) -> bool:
+        """Whether a role's table has a column for any of these quantities."""
+        return any(self.columns.quiet.find(self.texts[role], role, q) is not None for q in quantities)
+
+    def infer(self, told: str, role: str = "") -> None:
+        """Note what is inferred, of a role's file."""
+        self.columns.notes.append(f"{self.files[role].name}: inferred: {told}" if role else f"inferred: {told}")
+
+
+def _read(p: _Parts) -> None:
+    """Read each file once, also of several roles, and of kinds of rows that tell their parts."""
+    if len(kinds := table_files.kinds_by_part(p.files["odometry"])) > 1:
+        p.files |= {role: path for role, path in kinds.items() if role == "odometry" or role not in p.files}
+        p.infer(", ".join(f"--{role} {path}" for role, path in kinds.items()))
+    read: dict[Path, TextTable] = {}
+    for role, path in p.files.items():
+        count, seen = len(next(iter(read.values()), ())), role in p.observing
+        read |= {path: table_files.read_text(path, p.named.values(), count, seen=seen)} if path not in read else {}
+    for path in {p.files.get(SCANS, p.files["odometry"])} - {p.files.get(OBSERVATIONS)}:
+        read[path] = folded_up(read[path]) or read[path]
+    read[p.files["odometry"]] = table_files.stepped(read[p.files["odometry"]])
+    p.texts |= {role: read[path] for role, path in p.files.items()}
+    p.columns.notes += [f"{path.name}: {table.cut}" for path, table in read.items() if table.cut]
+
+
+def _beside_odometry(p: _Parts, given: Given) -> None:
+    """Take the parts that are in the file of the odometry: stated, or told by names or by their form."""
+    path, table = p.files["odometry"], p.texts["odometry"]
+    for role in (r for r in ROLES[1:] if r not in p.texts):
+        own = [n for key, n in p.named.items() if key.startswith(f"{role}.") and table.find(n) is not None]
+        if not own and role in ("truth", "fixes") and table.named:
+            own = p.columns.quiet.tells(table, role)
+        if not own and role == SCANS and not {*p.observing} & {*p.files}:
+            own = wide_in(table, stated="scanner" in given)
+        if own:
+            p.files[role], p.texts[role] = path, table
+            p.infer(f"--{role} {path}, of its columns {', '.join(own)}")
+        arrays = role in ("map", "truth") and not own and is_arrays(path)
+        if arrays and (layout := by_layout(table, role, alone=False)) is not None:
+            p.files[role], p.texts[role], told = path, *_laid_out(table, role, p.columns, layout)
+            p.infer(f"--{role} {path}, {told}")
+    if p.observing == (OBSERVATIONS,) and OBSERVATIONS not in p.texts:
+        there = any(key in STARRED[:2] or key.startswith(f"{OBSERVATIONS}.") for key in p.named)
+        there |= bool(table_files.stars(table)) or not MEASURES & {*p.files}
+        if there or p.columns.quiet.has(table, OBSERVATIONS, STARRED[:2]):
+            p.files[OBSERVATIONS], p.texts[OBSERVATIONS] = path, table
+
+
+def _below_odometry(p: _Parts) -> None:
+    """Observations without an instant, in lines of the odometry's file, are of the line of odometry above them."""
+    odometry, (file, word) = p.texts["odometry"], file_and_word(p.files["odometry"])
+    for role in (r for r in p.observing if r in p.texts and word and p.texts[r] is not odometry):
+        stated = any(p.columns.find(p.texts[role], role, q) is not None for q in ("t", "frame"))
+        if file_and_word(p.files[role])[0] == file and not stated:
+            above = np.searchsorted(odometry.line, p.texts[role].line) - 1
+            p.texts[role] = p.texts[role].beside("frame", np.maximum(above, 0))
+            p.columns.given = {**p.columns.given, f"{role}.frame": "frame"}
+            p.infer("frame, of the row of odometry above each in the file", role)
+
+
+def _by_layout(p: _Parts) -> list[str]:
+    """Take what columns that nobody named tell: an odometry, truth, map; the roles without a stated column."""
+    unnamed = [r for r in p.texts if not {k.rpartition(".")[0] for k in p.named} & {"", r}]
+    if "map" in p.texts and not any(k.startswith("map.") or n in p.texts["map"].names for k, n in p.named.items()):
+        unnamed.append("map")
+    odometry = any(p.columns.quiet.has(p.texts["odometry"], "odometry", KINDS[k]) for k in ("velocities", "poses"))
+    for role in ("odometry",) * (not odometry) + ("truth", "map"):
+        known = any(key.startswith(f"{role}.") for key in p.columns.given)
+        if role in unnamed and not known and (layout := by_layout(p.texts[role], role)) is not None:
+            p.texts[role], told = _laid_out(p.texts[role], role, p.columns, layout)
+            p.infer(told, role)
+    typed = {key.rpartition(".")[2] for key in p.named}
+    if OBSERVATIONS in p.texts and "map" not in p.texts and not typed & {"id", *table_files.IDS}:
+        alone = p.find(OBSERVATIONS, ("range",)) and not p.find(OBSERVATIONS, ("label",))
+        if alone and (placed := landmarks_in_rows(p.texts[OBSERVATIONS])):
+            p.texts[OBSERVATIONS], p.texts["map"], told = placed
+            p.files["map"] = p.files[OBSERVATIONS]
+            p.infer(told, "map")
+    return unnamed
+
+
+def _blind(p: _Parts) -> bool:
+    """Whether the file of scans has no odometry, in whose place the robot then stands."""
+    if p.texts.get(SCANS) is not p.texts["odometry"]:
+        return False
+    if any(p.columns.quiet.has(p.texts["odometry"], "odometry", measured) for measured in KINDS.values()):
+        return False
+    for q in KINDS["poses"]:
+        p.texts["odometry"] = p.texts["odometry"].beside(q, np.zeros(len(p.texts[SCANS]), int))
+    p.columns.given = {**p.columns.given, **{f"odometry.{q}": q for q in KINDS["poses"]}}
+    p.columns.notes.append(f"{p.files[SCANS].name}: no odometry in it: matching of scans alone tells the motion")
+    return True
+
+
+def _name_observations(p: _Parts, given: Given, kind: str, unnamed: Collection[str]) -> None:
+    """Observations that are places of the robot, or whose columns, or labels, the path or the map tells."""
+    beside = p.texts.get(OBSERVATIONS) is p.texts["odometry"] and not {"fixes", "observation-sigma"} & {*given}
+    if beside and "fixes" not in p.texts and _are_places(p.texts, p.columns, kind):
+        p.files["fixes"], p.texts["fixes"] = p.files.pop(OBSERVATIONS), p.texts.pop(OBSERVATIONS)
+        told = "x and y are places along which the odometry leads (--columns observations.x=NAME reads observations)"
+        p.infer(f"--fixes {p.files['fixes']}, as its {told}")
+    for role in (r for r in p.observing if r in p.texts):
+        looked = seen_by_layout(p.texts[role], lambda: path_of(p.texts, p.columns, kind)) if role in unnamed else None
+        if looked is not None:
+            p.texts[role], told, of, before = looked
+            p.columns.read |= {(p.texts[role].path, name) for name in before}
+            p.columns.given = {key: name for key, name in p.columns.given.items() if key != f"{role}.frame"}
+            p.columns.units.given.update({f"{role}.{q}": unit for q, unit in of.items()})
+            p.infer(f"{told}, as which alone landmarks stand still", role)
+        free = "map" in p.texts and not p.find(role, table_files.IDS)
+        if free and (same := named_alike(p.texts[role], p.texts["map"])) is not None:
+            p.columns.given = {**p.columns.given, f"{role}.label": same[0], "map.id": same[1]}
+            p.infer(f"--columns {role}.label={same[0]},map.id={same[1]}, which hold the same names", role)
+
+
+def _take_stars(p: _Parts, role: str) -> None:
+    """A row for each observation of a table with columns for several, stated with stars or known by their names."""
+    file, columns = p.texts[role], p.columns
+    stated = {q: p.named.get(f"{role}.{q}", p.named.get(q, "")) for q in (*STARRED, *table_files.IDS)}
+    deep = table_files.solid_stars(file, stated)
+    stars = {q: n for q, n in {**stated, **deep}.items() if "*" in n}
+    if deep:
+        told = f"in {len(file)} rows; the odometry has {len(p.texts['odometry'])}"
+        p.infer(f"--columns {','.join(f'{q}={n}' for q, n in deep.items())}, {told}")
+    if not stars and not any(stated[q] for q in STARRED) and (stars := table_files.stars(file)):
+        p.infer(f"--columns {','.join(f'{q}={n}' for q, n in stars.items())}")
+    if not stars:
+        return
+    columns.read |= {(file.path, n) for n in file.names for star in stars.values() if fnmatchcase(n, star)}
+    p.texts[role] = wide = table_files.unpivoted(file, stars)
+    instant = any(columns.find(wide, role, q) is not None for q in ("t", "frame"))
+    if not instant and len(file) == len(p.texts["odometry"]):
+        p.texts[role] = wide.beside("frame", np.searchsorted(file.line, wide.line))
+        p.infer(f"each of its {len(file)} rows is one of the odometry", role)
+    columns.notes += [f"{file.path.name}: {wide.cut}"] * bool(wide.cut)
+    if not {"label", "true_id"} & {*wide.names}:
+        told = "filled from the left, so they are no labels (--columns label=NAME* names some)"
+        p.infer(f"columns {', '.join(stars.values())} are {told}")
+    taken = {*stars.values(), *(stated[q] for q in deep)}
+    columns.given = {k: n for k, n in columns.given.items() if n not in taken}
+
+
+def _rates(p: _Parts, given: Given) -> Given:
+    """The flags of speeds of wheels, where the name of their column tells that they are no ticks."""
+    if {"ticks", "odometry-kind"} & {*given}:
+        return given
+    name = p.texts["odometry"].names[p.columns.require(p.texts["odometry"], "odometry", ("left",))[0]]
+    words, unit = words_of(name)
+    if not {*words} & {*table_files.SPEED}:
+        return given
+    where = f"{p.files['odometry']}: {name} without --metres-per-tick, which of rad/s is the wheel's radius"
+    metres = 1.0 if "metres-per-tick" in given else table_files.factor("length/time", unit or "m/s", where)
+    given = {"metres-per-tick": f"{metres:.9g}", **given, "ticks": "rate"}
+    told = f"as {name} is a speed (in rad/s --metres-per-tick is the wheel's radius)"
+    p.infer(f"--ticks rate --metres-per-tick {given['metres-per-tick']}, {told}")
+    return given
 
 
 def _laid_out(
