@@ -214,7 +214,7 @@ def parts_of(path: Path) -> list[Path]:
         return sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith(".")) or [path]
     first, *others = str(path).split("+")
     each = [Path(first), *(Path(name) if Path(name).exists() else Path(first).parent / name for name in others)]
-    return [path] if path.exists() or not all(p.is_file() for p in each) else each
+    return [path] if path.exists() or not all(p.exists() for p in each) else each
 
 
 def with_word(lines: list[tuple[int, str]], word: str) -> list[tuple[int, str]]:

@@ -237,7 +237,8 @@ SIZE, NAMES, ROWS = "size", "names", "rows"
 BRISK, SPEED, CRAWL, SLOW = 5.0, 50.0, 200.0, 0.05
 """Median speeds [m/s]: below the first lengths may be in m, above the second in cm, above the third in mm; between the
 last and the first another unit may be right, too."""
-CREEP, CLOSE_BY = 5e-3, 0.1  # m/s and m: no robot is slower that sees no farther; lengths are in km
+CREEP, CLOSE_BY, FULL = 5e-3, 0.1, 0.9
+"""m/s and m: no robot is slower that sees no farther, lengths are in km; quantile of speeds of one that stops, too."""
 INCHES, CENTIMETRES = 63.0, 300.0
 """Multiples of the stated noise by which ranges change otherwise than predicted: above the first lengths are in inches,
 above the second in cm, above the third in mm, as the noise is in m."""
@@ -258,7 +259,7 @@ def _by_size(x: Examination) -> list[Explained]:
         quick = c.kind != "velocities" and np.median(np.diff(c.time)) < FAST  # which are the same over any stamps
         slower = quick and SLOW <= speed / 60.0 <= BRISK and GRAVITY < pull < 3600.0 * GRAVITY
         minutes = _told(Kind.UNIT, "everything", SIZE, speed, speed / 60.0, "min", 1.0) if slower else []
-        tiny = 0.0 < speed < CREEP and float(c.z[:, 0].max(initial=0.0)) < CLOSE_BY
+        tiny = speed > 0.0 and np.quantile(moved, FULL) < CREEP and float(c.z[:, 0].max(initial=0.0)) < CLOSE_BY
         over = _over_noise(c, x.samples) if speed > BRISK or tiny else 1.0
         if tiny:
             return _told(Kind.UNIT, "everything", SIZE, speed, readings.METRES["km"] * speed, "km", over)

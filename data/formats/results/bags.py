@@ -6,6 +6,7 @@
 
 import re
 from dataclasses import replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -85,11 +86,20 @@ def _of_tf(path: Path, tree: Tree, pair: str) -> Spatial:
         there = ", ".join(sorted(moving)) or "none"
         raise UsageError(f"{path}: which transform? {path}:/tf:PARENT.CHILD is needed; moving ones: {there}")
     stated, name, (R, p) = Stated(parent, child, order=True), f"{path}:/tf:{parent}.{child}", found
+    inside = np.ones(len(stamp), bool)  # of the stamps of all that move it, and one step of each
+    for frame in takewhile(lambda frame: frame != ros.bare(parent), chain):
+        if (own := tree.moving.get(frame)) is None or not own.moves:
+            continue
+        step = float(np.median(np.diff(np.sort(own.stamp)))) if len(own.stamp) > 1 else 0.0
+        inside &= (stamp >= min(own.stamp) - step) & (stamp <= max(own.stamp) + step)
+    told = f"{int((~inside).sum())} of {len(stamp)} poses are before or after all that tf tells of its frames: left out"
+    stamp, R, p = stamp[inside], R[inside], p[inside]
 
     def place(k: int) -> str:
         return f"{name}: {stamp[k]:.6f} s"
 
-    return Spatial(name, TRANSFORMS, stamp, p, R, None, WORLD, place, stated, (), Clock("s", STATED))
+    notes = (told,) * (not inside.all())
+    return Spatial(name, TRANSFORMS, stamp, p, R, None, WORLD, place, stated, notes, Clock("s", STATED))
 
 
 def _topic(path: Path, kinds: dict[str, str], topic: str | None) -> str:

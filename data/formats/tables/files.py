@@ -994,7 +994,11 @@ class Columns:
             none = ~at.any(axis=0)
             rest = at[:, ~none & np.isfinite(at).all(axis=0)]
             step, near = np.hypot(*np.diff(rest)).max(initial=0.0), np.hypot(*rest).min(initial=np.inf)
-            if none.any() and 0.0 < APART * step < near:
+            early = np.logical_and.accumulate(none)
+            if not 0.0 < APART * step < near:  # several fixes at first, a leap before the others
+                leap = role == "fixes" and early.sum() > 1 and rest.size and 0.0 < step < np.hypot(*rest[:, 0])
+                none = early & bool(leap)
+            if none.any():
                 some = f"{counted(int(none.sum()), 'place')} of {role} at 0, 0, far from all others"
                 self.notes.append(f"{file.path.name}: {some}: left out, as of no message yet")
                 values |= {q: np.where(none, np.nan, values[q]) for q in ("x", "y")}

@@ -658,17 +658,22 @@ def _agree(fixes: Fixes, moved: Increments, start: Array) -> bool:
 
 
 def _fresh(fixes: Fixes, moved: Increments, notes: list[str]) -> Fixes:
-    """Without positions that repeat the one before of their source to the last digit while the odometry moves."""
+    """Without positions that repeat the one before of their source to the last digit, if some do while the odometry
+    moves: such a source holds its last one.
+    """
     rows = np.flatnonzero(fixes.kind != FixKind.HEADING)
     rows = rows[np.argsort(fixes.source[rows], kind="stable")]
     stated = np.column_stack([fixes.source, fixes.z])[rows]
     way = np.hypot(*moved.mean[:, :2].T).cumsum()[fixes.frame[rows]]
     digit = np.abs(np.diff(stated[:, 1:3], axis=0))  # rounded places may repeat within two of their last digits
     least = max(MOVED, 2.0 * digit[digit > 0].min(initial=np.inf))
-    held = rows[1:][(stated[1:] == stated[:-1]).all(axis=1) & (np.diff(way) > least)]
-    if not len(held):
+    again = (stated[1:] == stated[:-1]).all(axis=1)
+    if not (again & (np.diff(way) > least)).any():
         return fixes
-    notes.append(f"{len(held)} of {len(fixes)} fixes repeat the one before while the odometry moves: left out as held")
+    held = rows[1:][again]
+    notes.append(
+        f"{len(held)} of {len(fixes)} fixes repeat the one before, also while the odometry moves: left out as held"
+    )
     return replace(fixes.only(np.setdiff1d(np.arange(len(fixes)), held)), row=np.arange(len(fixes) - len(held)))
 
 

@@ -113,9 +113,10 @@ def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | Non
     """The only kind of odometry whose columns a file has, v and omega before poses; DataError for none or several."""
     notes, columns = columns.notes, columns.quiet
     pose = {"poses": pose_columns(file, columns, role), "steps": ("dx", "dtheta")}
-    if columns.stated(role, ("vy",)) or "vy" in columns.given:
-        return "sideways"
     turns = any(columns.has(file, role, (q,)) for q in ("omega", "steering"))
+    aside = columns.stated(role, ("vy",)) or "vy" in columns.given
+    if aside and (turns or not columns.has(file, role, ("theta",))):
+        return "sideways"
     if (columns.stated(role, ("v",)) or "v" in columns.given) and columns.has(file, role, ("theta",)) and not turns:
         return "course"
     kinds = {k: pose.get(k, qs) for k, qs in KINDS.items() if k not in ("sideways", "course")}
@@ -160,6 +161,8 @@ def read_odometry(
         columns.notes.append(f"{file.path.name}: assumed: steps have no dy, so the robot moves ahead alone")
         quantities = ("dx", "dtheta")
     moved = kind in (*STAMPED, "sideways", "course")
+    aside = kind == "course" and (columns.stated(role, ("vy",)) or "vy" in columns.given)
+    quantities = (*quantities, *["vy"] * aside)
     if moved:
         _intervals(file, columns, role)
     stamped, period = columns.find(file, role, "t") is not None, columns.period

@@ -139,10 +139,11 @@ def sensors_of(given: Given, files: Mapping[str, TextTable], columns: Columns, k
     for flag, found in texts.items():
         if not roles and flag not in (LENGTH, *["sensor-pose"] * (SCANS in files)):
             raise UsageError(f"--{flag} {found.popitem()[1]}: no observations; --{OBSERVATIONS} FILE names them")
+    pose = motion.pose_columns(files["odometry"], columns.quiet, "odometry")
     taken = {
         role
         for role in roles
-        if (kind == "poses" and files[role] is files["odometry"])
+        if (files[role] is files["odometry"] and columns.quiet.has(files[role], "odometry", pose))
         or any(columns.taken(files[role], role, ("x", "y"), files.get(of), of) for of in ("truth", "fixes"))
     }
     free = "truth" in files and not names and len(texts) == 1 and files.get(OBSERVATIONS) is files["odometry"]
@@ -479,7 +480,8 @@ def _blind(p: _Parts) -> bool:
         return False
     for q in KINDS["poses"]:
         p.texts["odometry"] = p.texts["odometry"].beside(q, np.zeros(len(p.texts[SCANS]), int))
-    p.columns.given = {**p.columns.given, **{f"odometry.{q}": q for q in KINDS["poses"]}}
+    stamps = {"odometry.t": p.named[key]} if (key := f"{SCANS}.t") in p.named else {}
+    p.columns.given = {**p.columns.given, **{f"odometry.{q}": q for q in KINDS["poses"]}, **stamps}
     p.columns.notes.append(f"{p.files[SCANS].name}: no odometry in it: matching of scans alone tells the motion")
     return True
 
@@ -567,7 +569,8 @@ def _are_places(texts: Mapping[str, TextTable], columns: Columns, kind: str) -> 
     file, looked, wants = texts["odometry"], columns.quiet, ("t", "x", "y")
     others = ("range", "bearing", *table_files.IDS)
     alone = looked.has(file, OBSERVATIONS, wants) and not any(looked.has(file, OBSERVATIONS, (q,)) for q in others)
-    path = path_of(texts, columns, kind) if alone and kind != "poses" else None
+    alone &= not looked.has(file, "odometry", motion.pose_columns(file, looked, "odometry"))
+    path = path_of(texts, columns, kind) if alone else None
     if path is None or columns.stated(OBSERVATIONS, wants):
         return False
     seen = looked.table(file, OBSERVATIONS, wants, may_be_blank=wants[1:])[0].stack(wants)

@@ -25,6 +25,7 @@ STATED = ("angle_min", "angle_increment", "range_max")
 ALIKE = {"start": "min", "first": "min", "end": "max", "last": "max", "angular": "angle"}
 ALIKE |= dict.fromkeys(("inc", "step", "resolution"), "increment")
 """Words for those of `GEOMETRY`."""
+NOTHING, SHARE = 0.05, 0.01  # A range that no scanner measures, and the share of all from which it stands for none
 TURNS = 4.0 * math.pi, 721.0  # Angle between the outer beams, above as many rad and below as many degrees in degrees
 
 
@@ -83,7 +84,13 @@ def read_scans(
         stamp = columns.stamps(file, "scans", np.ones(len(file), bool)) if stamped else rows
     found, header = Collected(), SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0), frame_id="laser")
     given = {} if scanner is None else dict(zip(STATED, scanner.tolist(), strict=True))
-    known, unit = {"range_min": 0.0}, 1.0
+    metre = columns.units.factor("scans", "range")
+    read = [metre * float(f) for row in file.rows for f in (row[j] for j in beams) if is_number(f)]
+    least, often = np.unique([r for r in read if 0.0 < r < NOTHING], return_counts=True)
+    same = float(least[often.argmax()]) if len(often) and often.max() > SHARE * len(read) else 0.0
+    if same:  # more often than any robot is so close to a wall
+        columns.notes.append(f"{file.path.name}: inferred: {same:g} m, {often.max()} times, stands for no return")
+    known, unit = {"range_min": 1.001 * same}, 1.0
     for k, (row, line) in enumerate(zip(file.rows, file.line.tolist(), strict=True)):
         fields = [row[j] or "nan" for j in beams] if listed is None else row[listed].strip("()[] ").split(",")
         if (slots != range(len(slots))).any():

@@ -7,7 +7,7 @@ landmarks and covariances.
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -99,12 +99,22 @@ class Match:
     def __post_init__(self) -> None:
         read_only(self)
 
-    @property
-    def notice(self) -> Notice:
-        """The counts."""
+    def notice(self, pose: Array | None = None) -> Notice:
+        """The counts, and lengths in the plane of the matched paths of poses (n, 3) and the truth."""
         error = self.error if math.isfinite(self.error) else None
         poses, between = self.matched + self.unmatched, self.interpolated
-        return notice(Code.MATCHED, matched=self.matched, poses=poses, between=between, error=error, apart=self.apart)
+        counts: dict[str, Any] = {
+            "matched": self.matched,
+            "poses": poses,
+            "between": between,
+            "error": error,
+            "apart": self.apart,
+        }
+        if pose is not None and len(pose) == len(self.truth):
+            both = np.isfinite(pose[:, :2] + self.truth[:, :2]).all(axis=1)
+            ways = (float(np.hypot(*np.diff(p[both, :2], axis=0).T).sum()) for p in (pose, self.truth))
+            counts |= dict(zip(("way", "true_way"), ways, strict=True))
+        return notice(Code.MATCHED, **counts)
 
 
 def match(
@@ -230,7 +240,7 @@ def truth_log(name: str, path: GivenPath) -> Log:
 def with_truth(log: Log, path: GivenPath, gap: float | None = None) -> tuple[Log, Match]:
     """The log with the true path of a file instead of its own."""
     found = match(log.recorded.time, path.time, path.pose, gap)
-    note = f"True path from {path.file}: {sentence(found.notice)}."
+    note = f"True path from {path.file}: {sentence(found.notice())}."
     truth = replace(log.truth, pose=found.truth, left_out=(), excluded=(), screened=False)
     return replace(log, truth=truth, notes=(*log.notes, note)), found
 
@@ -307,7 +317,7 @@ def given_run(
 def _notes(path: GivenPath, found: Match | None, aligned: str, *, in_space: bool) -> Iterator[Notice]:
     """Notices of a path that was read; `aligned`: its alignment, empty for none."""
     yield notice(Code.READ_FROM, file=str(path.file), kind=path.kind)
-    yield notice(Code.NO_TRUTH) if found is None else found.notice
+    yield notice(Code.NO_TRUTH) if found is None else found.notice(path.pose)
     if path.covariance is None:
         yield notice(Code.NO_COVARIANCE, name="")
     yield from (notice(Code.NOTE, text=s) for s in (projection(path), *path.notes) if s)
