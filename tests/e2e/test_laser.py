@@ -39,11 +39,8 @@ def results(tmp_path_factory):
 
 
 def test_relations_are_scored_by_row_and_by_time_for_every_phase(results):
-    found = {
-        (r["estimator"], r["phase"], r["tie"], r["subset"]): r
-        for r in rows(results / "relations.csv")
-        if r["log"] == "plan"
-    }
+    of_plan = [r for r in rows(results / "relations.csv") if r["log"] == "plan"]
+    found = {(r["estimator"], r["phase"], r["tie"], r["subset"]): r for r in of_plan}
     assert len(found) == (1 + 1 + 2) * 4
     best = found["isam2", "final", "row", "all"]
     assert float(best["trans_mean_m"]) < 0.1 < float(found["dead-reckoning", "online", "row", "all"]["trans_mean_m"])

@@ -60,9 +60,8 @@ def test_uneven_stamps_and_positions_of_millimetres_leave_one_reading_and_straig
     t = np.cumsum(rng.uniform(0.005, 0.025, n))
     turn, noise = 0.5 * np.sin(0.5 * t), rng.normal(0, 0.003, (2, n))
     x, y = noise + np.cumsum(0.1 * np.diff(t, prepend=0.0) * np.array([np.cos(turn), np.sin(turn)]), axis=1)
-    for columns, read in (
-        ((t, x, y, turn), 4), ((t, 0.1 * t, 0.0 * t, 0.2 + noise[0]), 0), ((t, 0.1 * t, np.sin(t)), 0),
-    ):  # fmt: skip
+    readings = [((t, x, y, turn), 4), ((t, 0.1 * t, 0.0 * t, 0.2 + noise[0]), 0), ((t, 0.1 * t, np.sin(t)), 0)]
+    for columns, read in readings:
         assert len(only_reading([[f"{v:.6f}" for v in row] for row in zip(*columns, strict=True)])) == read
 
 
@@ -119,12 +118,15 @@ def test_one_file_without_a_truth_is_refused(scored):
     assert scored(table(columns), flags=flags.split())["rmse_position_m"] == pytest.approx(0.1)
 
 
-def test_of_stamps_those_count_that_tell_rows_apart(scored):
+def test_of_stamps_those_count_that_tell_rows_apart_and_rows_of_both_without_are_compared_one_by_one(scored):
     text = table({"stamp": 0 * T, "time": T, "x": TRUE[:, 0], "y": TRUE[:, 1]})
     assert scored(text, table(WHOLE))["matched"] == 60
     truth = re.sub("(?m)^([\\d.]+)", r"\1 sec", table(WHOLE | {"t": 1000.0 + T, "x": TRUE[:, 0]}))
     values = scored(table(WHOLE | {"t": np.arange(60.0)}), truth)
     assert values["rmse_position_m"] == pytest.approx(0.1)  # numbers of rows
+    both = {"time": np.floor(T), "x": MINE[:, 0], "y": MINE[:, 1], "gt_x": TRUE[:, 0], "gt_y": TRUE[:, 1]}
+    values = scored(table(both))  # those that repeat: rows are compared one by one
+    assert (values["rmse_position_m"], values["matched"]) == (pytest.approx(0.1), 60)
 
 
 def message(k, listed):
@@ -163,11 +165,8 @@ def test_paths_of_a_file_of_arrays(tmp_path, capsys, suffix):
 
 
 def test_sources_of_rows_are_told_apart_by_a_word(scored, tmp_path):
-    rows = [
-        f"{t:.9g},{who},{x:.9g},{y:.9g}"
-        for who, path in (("odom", MINE), ("gt", TRUE))
-        for t, (x, y, _) in zip(T, path)
-    ]
+    each = [("odom", T, MINE), ("gt", T, TRUE)]
+    rows = [f"{t:.9g},{who},{x:.9g},{y:.9g}" for who, *of in each for t, (x, y, _) in zip(*of)]
     text = "\n".join(["time,source,x [mm],y [mm]", *rows])
     assert "rows hold odom (60), gt (60): name those of one kind, as in" in scored(text, text, wrong=True)
     assert score([*[f"{tmp_path}/0.csv:{who}" for who in ("odom", "gt")], "--columns", "x=3,y=y [mm]"]) == 0
@@ -175,10 +174,8 @@ def test_sources_of_rows_are_told_apart_by_a_word(scored, tmp_path):
 
 def test_names_that_repeat_are_of_the_blank_column_before_them(scored):
     head = "header,stamp,secs,nsecs,pose,position,x,y,z,orientation,x,y,z,w,covariance,twist,linear,x,y,z"
-    turned = (
-        (int(t), round(t % 1 * 1e9), x, y, math.sin(a / 2), math.cos(a / 2))
-        for t, (x, y, a) in zip(T.tolist(), MINE.tolist(), strict=True)
-    )
+    at = zip(T.tolist(), MINE.tolist(), strict=True)
+    turned = ((int(t), round(t % 1 * 1e9), x, y, math.sin(a / 2), math.cos(a / 2)) for t, (x, y, a) in at)
     rows = [f',,{s},{ns},,,{x!r},{y!r},0,,0,0,{z!r},{w!r},"[0.0, 1.0]",,,7,8,9' for s, ns, x, y, z, w in turned]
     values = scored("\n".join([head, *rows]), table(WHOLE | {"x": TRUE[:, 0]}))
     assert values["rmse_position_m"] == pytest.approx(0.1, rel=1e-6)
@@ -201,9 +198,7 @@ def test_a_last_row_that_is_cut_off_is_left_out(scored, tmp_path):
 
 def test_topics_as_columns_of_sparse_rows(scored, tmp_path):
     """A recorder's table of several topics: a row for each message, at the table's stamps."""
-    names = (
-        "__time", "/ekf/pose/position/x", "/ekf/pose/position/y", "/mocap/data/x", "/mocap/data/y", "/imu/angular/x",
-    )  # fmt: skip
+    names = ["__time", "/ekf/pose/position/x", "/ekf/pose/position/y", "/mocap/data/x", "/mocap/data/y", "/imu/turn/x"]
     rows = [f"{t + 0.01},{x:.9g},{y:.9g},,," for t, (x, y, _) in zip(T, MINE, strict=True)]
     rows += [f"{t},,,{x:.9g},{y:.9g}," for t, (x, y, _) in zip(T, TRUE, strict=True)]
     rows += [f"{t + 0.02},,,,,0.5" for t in T]
@@ -220,9 +215,7 @@ def test_topics_as_columns_of_sparse_rows(scored, tmp_path):
 
 
 def test_rows_that_end_before_the_header(scored, tmp_path):
-    rows = [
-        f"{t:.9g},{x:.9g},{y:.9g},1" + ",2" * (k % 4 == 0) for k, (t, (x, y, _)) in enumerate(zip(T, TRUE, strict=True))
-    ]
+    rows = [f"{t:.9g},{x:.9g},{y:.9g},1" + ",2" * (k % 4 == 0) for k, (t, (x, y, _)) in enumerate(zip(T, TRUE))]
     text = "\n".join(["time,ins_x,ins_y,mode,more", *rows])
     names = ("--columns", "truth.x=ins_x,truth.y=ins_y")
     assert scored(table(WHOLE), text, flags=names)["rmse_position_m"] == pytest.approx(0.1)
@@ -247,12 +240,6 @@ def test_dates_are_stamps(scored, form):
     assert scored(rows, truth, flags=("--unit", "t=iso")) == values
     assert "has no dates" in scored(rows, table(WHOLE), flags=("--unit", "iso"), wrong=True)
     assert "is no date" in scored(rows.replace(at[3], "now"), truth, wrong=True)
-
-
-def test_rows_of_both_whose_stamps_repeat_are_compared_one_by_one(scored):
-    text = table({"time": np.floor(T), "x": MINE[:, 0], "y": MINE[:, 1], "gt_x": TRUE[:, 0], "gt_y": TRUE[:, 1]})
-    values = scored(text)
-    assert (values["rmse_position_m"], values["matched"]) == (pytest.approx(0.1), 60)
 
 
 STEPS = 0.1 * np.arange(240)

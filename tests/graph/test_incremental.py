@@ -145,12 +145,8 @@ def test_removing_a_landmark_leaves_what_there_would_be_without_its_sightings(se
     with pytest.raises(ValueError, match="not all are in the map"):
         s.remove(gone)
     s.predict(extra)  # numbers are never used again
-    assert (
-        s.update(
-            FrameObservations(*inputs.frame_observations(0)), np.full(len(inputs.frame_observations(0).z), NEW)
-        ).created.min()
-        > created.max()
-    )
+    first = FrameObservations(*inputs.frame_observations(0))
+    assert s.update(first, np.full(len(first.z), NEW)).created.min() > created.max()
 
 
 @every_sensor

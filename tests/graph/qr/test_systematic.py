@@ -134,11 +134,8 @@ def size_of_the_test(task, runs):
     """Share (4,) of runs in which each error is found at the 5 % level, and the p-values of (mean, spread) (4,)."""
     sigmas = np.array([linear(seed, task).sigmas for seed in range(runs)])
     total = np.sum(sigmas**2, axis=0)
-    return (
-        np.mean(np.abs(sigmas) > stats.norm.ppf(0.975), axis=0),
-        stats.chi2.sf(total, runs),
-        stats.chi2.cdf(total, runs),
-    )
+    found = np.mean(np.abs(sigmas) > stats.norm.ppf(0.975), axis=0)
+    return found, stats.chi2.sf(total, runs), stats.chi2.cdf(total, runs)
 
 
 @pytest.mark.slow

@@ -183,12 +183,8 @@ def test_a_picture_that_is_partly_outside_the_image_is_refused(textures, detecto
 
 @pytest.mark.parametrize("kind", ["black", "wall", "noise"])
 def test_nothing_is_found_where_nothing_hangs(detector, kind):
-    rng = np.random.default_rng(5)
-    image = {
-        "black": np.zeros((HEIGHT, WIDTH, 3), np.uint8),
-        "wall": wall().rgb,
-        "noise": rng.integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8),
-    }[kind]
+    noise = np.random.default_rng(5).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+    image = {"black": np.zeros((HEIGHT, WIDTH, 3), np.uint8), "wall": wall().rgb, "noise": noise}[kind]
     result = detector.detect(image, wall().xyz)
     assert found(result) == []
     assert [reason for _, reason in result.refused] == [NOT_SEEN] * PICTURES

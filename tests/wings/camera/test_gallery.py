@@ -104,11 +104,8 @@ class TestTheCamera:
         scene = gallery(PLAIN, 0)
         pose = scene.pose[10]
         c, s = math.cos(pose[2]), math.sin(pose[2])
-        eye = [
-            pose[0] + c * PLAIN.camera_x - s * PLAIN.camera_y,
-            pose[1] + s * PLAIN.camera_x + c * PLAIN.camera_y,
-            PLAIN.camera_height,
-        ]
+        x, y = PLAIN.camera_x, PLAIN.camera_y
+        eye = [pose[0] + c * x - s * y, pose[1] + s * x + c * y, PLAIN.camera_height]
         for sight in projections(PLAIN, scene.corners, pose):
             line = eye - scene.corners[sight.picture].mean(axis=0)
             wall = int(np.argmax(np.ptp(scene.corners[sight.picture][:, :2], axis=0) < 1e-9))
@@ -179,12 +176,8 @@ class TestLogsWithoutImages:
             log = simulate(PLAIN, seed)
             errors.append(log.recorded.observations.z - exact_readings(log))
             scene = gallery(PLAIN, seed)
-            expected = [
-                (k, 4 * s.picture + c)
-                for k, pose in enumerate(scene.pose)
-                for s in in_view(PLAIN, scene.corners, pose)
-                for c in range(4)
-            ]
+            seen = [(k, s.picture) for k, pose in enumerate(scene.pose) for s in in_view(PLAIN, scene.corners, pose)]
+            expected = [(k, 4 * picture + c) for k, picture in seen for c in range(4)]
             assert expected == list(zip(log.recorded.observations.frame.tolist(), log.truth.landmark_of.tolist()))
         error = np.concatenate(errors)
         assert agrees(error[:, 0], 0.02)

@@ -172,16 +172,8 @@ def test_what_is_no_team_is_refused(name, selection, said):
 def trials_of(name, association="known"):
     made = experiments(name, Selection(association=(association,)), Setup(), Reading(), lambda _: None)
     labels = association == "known"
-    return [
-        Trial(
-            e.log,
-            e.task,
-            tuple(compare(e.log.inputs(labels=labels), e.task, w.estimators, w.association)),
-            e.variant_of,
-        )
-        for e in made
-        for w in e.work
-    ]
+    ran = [(e, compare(e.log.inputs(labels=labels), e.task, w.estimators, w.association)) for e in made for w in e.work]
+    return [Trial(e.log, e.task, tuple(runs), e.variant_of) for e, runs in ran]
 
 
 def test_the_player_of_a_robot_has_all_robots_on_its_clock_and_who_observed_whom():

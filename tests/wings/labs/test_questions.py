@@ -153,10 +153,8 @@ def test_without_odometry_errors_and_reason_are_told():
 def test_map_maintenance_is_told_by_size_entries_and_counts():
     kept = replace(BUSY, name=f"{BUSY.name}:maintain")
     plain = lab_run(BUSY, "jcbb", changes={4: NEW, 7: 2})
-    given = (
-        trial(BUSY, plain),
-        trial(kept, lab_run(kept, "jcbb", changes={4: NEW}, removed={2: 3}), variant_of=BUSY.name),
-    )
+    tidied = trial(kept, lab_run(kept, "jcbb", changes={4: NEW}, removed={2: 3}), variant_of=BUSY.name)
+    given = trial(BUSY, plain), tidied
     q = facts(*given).of["maintenance"]
     assert (q["plain"].landmarks, q["kept"].landmarks, q["kept"].removed, q["kept"].removed_people) == (3, 2, 1, 1)
     # lengths 7, 9, 9, 9, 9 and with maintenance 7, 9, 9, 9, 7

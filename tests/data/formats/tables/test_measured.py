@@ -131,11 +131,8 @@ def test_vectors_of_a_matlab_file_are_columns(convert, form):
     values = {"odo": odometry, "seen": seen}
     names = "t=odo.t,v=odo.v,omega=odo.omega,observations.t=seen.t,range=seen.range,bearing=seen.bearing"
     if form == "vectors":
-        values = {
-            "odo": np.column_stack([*odometry.values()]),
-            "t_seen": seen["t"],
-            "rb": np.column_stack([*seen.values()][1:]),
-        }
+        values = {"odo": np.column_stack([*odometry.values()]), "rb": np.column_stack([*seen.values()][1:])}
+        values["t_seen"] = seen["t"]
         names = "t=odo_1,v=odo_2,omega=odo_3,observations.t=t_seen,range=rb_1,bearing=rb_2"
     savemat("log.mat", values)
     words = ["--columns", names, "--odometry-sigma", "0.1,0.1", "--observation-sigma", "0.1,0.02"]

@@ -99,11 +99,8 @@ def test_one_hypothesis_is_the_localizer():
 def test_a_landmark_is_in_view_with_the_probability_that_its_range_and_bearing_are(kind):
     sensor = kind(max_range=8.0, min_angle=-0.5, max_angle=0.5)
     polar = np.array([[5.0, 0.0], [5.0, -0.5], [5.0, 0.7], [8.0, 0.0], [8.2, 0.5], [5.0, np.pi]])
-    z = (
-        polar
-        if kind is RangeBearing
-        else np.stack([polar[:, 0] * np.cos(polar[:, 1]), polar[:, 0] * np.sin(polar[:, 1])]).T
-    )
+    plane = np.stack([polar[:, 0] * np.cos(polar[:, 1]), polar[:, 0] * np.sin(polar[:, 1])]).T
+    z = polar if kind is RangeBearing else plane
     sigma = np.array([[0.2, 0.2]] * 6) if kind is RangeBearing else 0.2 * polar[:, :1] * [0.5, 1.0]
     found, part = DetectionRates(sensor).in_view(z, np.array([np.diag(s**2) for s in sigma]), 8.0)
     off = [1.0, 1.0, 1.0, 0.5, norm.cdf(-0.2 / (0.2 if kind is RangeBearing else 1.64)), 1.0]
