@@ -353,15 +353,19 @@ def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
         names = ["frame", *first.names]
         rows = tuple((str(k), *row) for k, t in enumerate(tables) for row in t.rows)
     else:
-        names = [name if t.named else f"{t.path.stem}{k}" if len(t.names) > 1 else t.path.stem
-                 for t in tables for k, name in enumerate(t.names, 1)]  # fmt: skip
-        rows = tuple(sum(several, ()) for several in zip(*(t.rows for t in tables), strict=True))
+        columns = ((t, zip(t.names, zip(*t.rows, strict=True), strict=True)) for t in tables)
+        each = [(t, name, column) for t, own in columns for name, column in own]
+        stems = [t.path.stem + name * (len(t.names) > 1) for t, name, _ in each]
+        named = [name if t.named and not name.isdecimal() else o for (t, name, _), o in zip(each, stems, strict=True)]
+        held = dict.fromkeys(zip(named, (column for *_, column in each), strict=True))  # the same stamps once
+        names, rows = [name for name, _ in held], tuple(zip(*(column for _, column in held), strict=True))
     return TextTable(path, tuple(names), rows, np.arange(1, len(rows) + 1), named=True)
 
 
 def _by_stamp(path: Path, tables: Sequence[TextTable]) -> TextTable | None:
     """Rows of the first table, each with the nearest in time of the others; None: one has none, or all are equal."""
     stamps = [[k for k, name in enumerate(t.names) if t.named and {*words_of(name)[0]} & {*STAMP}] for t in tables]
+    stamps = [[k for k in own if "header" in t.names[k]] or own for t, own in zip(tables, stamps, strict=True)]
     if not all(len(found) == 1 for found in stamps):
         return None
     texts = [[row[k] for row in t.rows] for t, (k,) in zip(tables, stamps, strict=True)]

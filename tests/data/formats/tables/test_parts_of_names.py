@@ -158,6 +158,47 @@ def test_a_turn_a_way_and_a_turn_are_a_step(made):
     assert log.recorded.increments.mean[1] == pytest.approx(ARC, abs=1e-9)
 
 
+def test_no_fix_yet_and_a_held_one_are_no_fixes(made):
+    """Seen: 325 fixes where 195 were measured, as a position at 0, 0 and those that stood between rows were read."""
+    place = np.round(5.0 + POSE[:, :2] * [1.0, 0.01], 3)
+    held = [(0.0, 0.0)] * 2 + [tuple(place[4 * (k // 4)]) for k in range(COUNT - 2)]
+    rows = ((t, V * (k % 4 < 2), OMEGA, *p) for k, (t, p) in enumerate(zip(TIME, held, strict=True)))
+    words = ("--prior", "5,5,0", "--fix-sigma", "0.1")
+    log, said = made({"robot.csv": csv("t,v,omega,gps_x,gps_y", rows)}, *words)
+    assert len(log.recorded.fixes) == len({*held}) - 1
+    assert "2 places of fixes at 0, 0" in said
+
+
+def test_a_pose_beside_speeds_is_neither_an_observation_nor_a_fix(convert):
+    rows = ((t, V, OMEGA, *p) for t, p in zip(TIME, POSE + 0.01 * np.sin(TIME)[:, None], strict=True))
+    said = convert({"a.csv": csv("t,v,omega,x,y,theta", rows)}, "table", "a.csv", "out", status=2)
+    assert "no observations" in said
+
+
+def test_a_speed_to_the_left_beside_a_heading(made):
+    rows = ((t, 0.5, 0.2, 0.3, *p[:2]) for t, p in zip(TIME, POSE, strict=True))
+    words = ("--columns", "v=a,vy=b,theta=c,truth.x=x,truth.y=y", "--prior", "0,0,0.3", "--prior-sigma", "0,0,0")
+    log, _ = made({"a.csv": csv("t,a,b,c,x,y", rows)}, *words)
+    assert log.recorded.increments.mean[1] == pytest.approx([0.5 * STEP, 0.2 * STEP, 0.0], abs=1e-9)
+
+
+@pytest.mark.parametrize("form", ["a file of stamps and a folder", "files with the same stamps"])
+def test_files_row_by_row(convert, tmp_path, form):
+    if form.startswith("a file"):
+        (tmp_path / "data").mkdir()
+        files = {f"data/{k:03d}.txt": f"{p[0]} {p[1]} {V} {OMEGA}\n" for k, p in enumerate(POSE)}
+        files["times.txt"], source = "\n".join(map(str, TIME)), "times.txt+data"
+        names = "t=times,v=data3,omega=data4,fixes.x=data1,fixes.y=data2"
+    else:
+        rows = ((10 + t, t, OMEGA, f) for t, f in zip(TIME, FIXES, strict=True))
+        files = {"odo.csv": csv("%time,header.stamp,v", ((9 + t, t, V) for t in TIME)),
+                 "imu.csv": csv("%time,header.stamp,wz,gps_x,gps_y", rows)}  # fmt: skip
+        source, names = "odo.csv+imu.csv", "v=v"
+    log, _ = convert(files, "table", source, "out", "--columns", names, "--fix-sigma", "0.1")
+    assert drives(log)
+    assert log.recorded.time[-1] == TIME[-1]
+
+
 def test_labels_are_the_column_that_holds_the_names_of_the_map(made):
     seen, known = SEEN.replace("tag", "node"), KNOWN.replace("tag", "name")
     log, said = made({"odo.csv": MOTION, "seen.csv": seen, "map.csv": known}, *LABELLED[:2], "--map", "map.csv")
