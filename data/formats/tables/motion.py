@@ -223,6 +223,14 @@ def read_odometry(
         pose = np.stack([values["x"], values["y"], headings(values, columns.units.factor(role, "theta"))], axis=-1)
         pose = columns.turned(file, role, time, pose)
         pose[:, 2] = se2.wrap_angle(pose[:, 2])
+        step = np.hypot(*np.diff(pose[:, :2], axis=0).T)
+        leap = step > max(LEAP * float(np.median(step[step > 0.0])), RESET) if step.any() else step > 0.0
+        if len(anew := np.flatnonzero(leap & (pose[1:] == pose[0]).all(axis=1))):
+            k = int(anew[0]) + 1
+            told = f"its pose leaps back to the first one by {step[k - 1]:.3g} m: it was set to zero, and ends there"
+            notes.append(f"{file.path.name}: line {table.line[k]}: {told}")
+            table, time, pose = table.part(np.arange(k)), time[:k], pose[:k]
+            instants[instants > time[-1]] = np.nan
     elif kind in ("sideways", "course"):  # each row holds until the next, along arcs
         held = np.minimum(np.diff(time), usual_gap(time))
         turn = held * values["omega"][:-1] if kind == "sideways" else np.diff(np.unwrap(values["theta"]))
@@ -276,6 +284,7 @@ def _intervals(file: TextTable, columns: Columns, role: str) -> None:
     columns.notes.append(f"{file.path.name}: inferred: --columns {role}.dt={name}, as {name} does not ascend")
 
 
+LEAP, RESET = 20.0, 0.1  # Usual steps, and m, of a leap to the first pose, of an odometry that is set to zero
 MANY, SOME = 20, 0.1  # Fewest rows, and least share of steps back, of a column of times that are no stamps
 
 

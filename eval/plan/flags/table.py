@@ -112,7 +112,7 @@ class Matching:
     unit: tuple[str, ...] = several("[NAME=]UNIT", HELP["unit"])
     time_offset: tuple[str, ...] = several("[NAME=]S", HELP["time_offset"])
     align: str = choice("none", ("first", "se2", "se3", "sim3", "yaw"), "HOW", HELP["align"])
-    pairs: str = choice("evo", ("rpg", "openvins"), "WHOSE", HELP["pairs"])
+    pairs: str = choice("evo", ("rpg", "openvins", "kitti"), "WHOSE", HELP["pairs"])
     truth_gap: float | None = flag.row(None, flag.positive, "S", HELP["truth_gap"])
 
 

@@ -24,11 +24,12 @@ FITTED = (SE3, SIM3, YAW)
 FLAT = 1e-6  # Largest height over width of a path in the plane
 
 
-EVO, RPG, OPENVINS = "evo", "rpg", "openvins"
-PAIRS = (EVO, RPG, OPENVINS)  # Whose pairs relative errors are of: evo's, rpg_trajectory_evaluation's, or OpenVINS'
+EVO, RPG, OPENVINS, KITTI = "evo", "rpg", "openvins", "kitti"
+PAIRS = (EVO, RPG, OPENVINS, KITTI)  # Whose pairs relative errors are of; rpg_trajectory_evaluation's, KITTI odometry's
 RPG_SHARES, RPG_TOLERANCE = (0.1, 0.2, 0.3, 0.4, 0.5), 0.2
 """Lengths as shares of the true path's, and tolerance as a share of the length."""
 OPENVINS_LENGTHS, OPENVINS_TOLERANCE = (8.0, 16.0, 24.0, 32.0, 40.0), 0.5  # m
+KITTI_LENGTHS, KITTI_STEP = tuple(100.0 * k for k in range(1, 9)), 10  # m; every so many poses begin a pair
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,6 +184,7 @@ def relative_columns(estimate: Poses, truth: Poses, time: Array, pairs: str = EV
     a, b = estimate.of(known), truth.of(known)
     found: dict[str, float | None] = {}
     every = {"frame": successive(int(known.sum()))} | _by_length(b.position, pairs)
+    drift: list[Array] = []
     for name, (i, j) in without_gaps(every, time[known]).items():
         (Ra, ta), (Rb, tb) = _between(a, i, j), _between(b, i, j)
         some = len(i) > 0
@@ -192,6 +194,11 @@ def relative_columns(estimate: Poses, truth: Poses, time: Array, pairs: str = EV
         if pairs != EVO and name != "frame" and some:
             found[f"rpe_{name}_3d_median_m"] = float(np.median(off))
             found[f"rpe_{name}_3d_median_deg"] = float(np.median(turn))
+        if pairs == KITTI and name != "frame":
+            drift.append(np.stack([100.0 * off, turn]) / float(name.removesuffix("m")))
+    if drift:  # means over all pairs, as KITTI's table has them
+        mean = np.concatenate(drift, axis=1).mean(axis=1) if any(each.size for each in drift) else (None, None)
+        found |= dict(zip(("drift_3d_percent", "drift_3d_deg_per_m"), mean, strict=True))
     return found
 
 
@@ -201,7 +208,12 @@ def _by_length(position: Array, pairs: str) -> dict[str, tuple[IntArray, IntArra
         return pairs_over(position)
     if pairs == OPENVINS:
         return {f"{d:g}m": pairs_by_way(position, d, OPENVINS_TOLERANCE) for d in OPENVINS_LENGTHS}
-    length = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
+    step = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    if pairs == KITTI:
+        way, first = np.append(0.0, np.cumsum(step)), np.arange(0, len(position), KITTI_STEP)
+        ends = {d: np.searchsorted(way, way[first] + d, side="right") for d in KITTI_LENGTHS}
+        return {f"{d:g}m": (first[last < len(way)], last[last < len(way)]) for d, last in ends.items()}
+    length = float(step.sum())
     lengths = {f"{100.0 * share:.0f}percent": share * length for share in RPG_SHARES}
     return {name: pairs_by_way(position, d, RPG_TOLERANCE * d) for name, d in lengths.items()}
 

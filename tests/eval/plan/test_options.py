@@ -137,7 +137,7 @@ VALUES = {
     **dict.fromkeys(("result", "truth", "cov", "times", "time_offset"), PATHS),
     **dict.fromkeys(("cov_frame", "cov_order", "axes", "unit"), PATHS),
     "align": st.sampled_from(("none", "first", "se2", "se3", "sim3", "yaw")),
-    "pairs": st.sampled_from(("evo", "rpg", "openvins")), "truth_gap": SPANS,
+    "pairs": st.sampled_from(("evo", "rpg", "openvins", "kitti")), "truth_gap": SPANS,
     "calibrate": st.one_of(st.just("auto"), some(("scale", "curvature=0.02", "left", "drift=1e-3", "bearing"))),
 }  # fmt: skip
 """Words for every row that takes a value and changes the numbers."""

@@ -199,6 +199,14 @@ def test_files_row_by_row(convert, tmp_path, form):
     assert log.recorded.time[-1] == TIME[-1]
 
 
+def test_an_odometry_that_is_set_to_zero_ends_there(made):
+    rows = [(t, *p, *p[:2]) for t, p in zip(TIME, POSE, strict=True)]
+    rows += [(TIME[-1] + 0.5, *POSE[0], *POSE[-1, :2]), (TIME[-1] + 1.0, *ARC, *POSE[-1, :2])]
+    log, said = made({"a.csv": csv("t,x,y,theta,gt_x,gt_y", rows)}, "--frames", "odometry")
+    assert log.recorded.time[-1] == TIME[-1]
+    assert "it was set to zero, and ends there" in said
+
+
 def test_labels_are_the_column_that_holds_the_names_of_the_map(made):
     seen, known = SEEN.replace("tag", "node"), KNOWN.replace("tag", "name")
     log, said = made({"odo.csv": MOTION, "seen.csv": seen, "map.csv": known}, *LABELLED[:2], "--map", "map.csv")

@@ -142,6 +142,23 @@ def test_relative_errors_of_others_pairs(pairs, name, share):
     assert found[f"rpe_{name}_3d_median_deg"] == pytest.approx(np.median(turn), rel=1e-9)
 
 
+def test_the_mean_drift_of_kitti_is_that_of_its_segments():
+    """Of every tenth pose and each length the first pose that is farther along the true path."""
+    (p, R), (q, S) = recorded()
+    p, q = 30.0 * p, 30.0 * q
+    found = relative_columns(Poses(q, S.as_matrix()), Poses(p, R.as_matrix()), np.arange(float(len(p))), "kitti")
+    way, drift = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))]), []
+    for i in range(0, len(p), 10):
+        for length in range(100, 900, 100):
+            if j := next((k for k in range(i, len(p)) if way[k] > way[i] + length), 0):
+                true, mine = (np.linalg.inv(T[i]) @ T[j] for T in (frames(p, R), frames(q, S)))
+                error = np.linalg.inv(mine) @ true
+                turn = math.degrees(Rotation.from_matrix(error[:3, :3]).magnitude())
+                drift.append((100.0 * np.linalg.norm(error[:3, 3]) / length, turn / length))
+    assert len(drift) > 20
+    assert (found["drift_3d_percent"], found["drift_3d_deg_per_m"]) == pytest.approx(tuple(np.mean(drift, axis=0)))
+
+
 def frames(p, R):
     T = np.tile(np.eye(4), (len(p), 1, 1))
     T[:, :3, :3], T[:, :3, 3] = R.as_matrix(), p
