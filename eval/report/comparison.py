@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
 import pandas as pd
 
 from eval.referee.consistency import MARKS
@@ -103,7 +104,8 @@ def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = (), *, aligned
         shown.remove("status")
     if not aligned or not (made["task"] == "slam").any():
         shown.remove("rmse_aligned_m")
-    if _same(made["rmse_time_m"], made["rmse_position_m"]):
+    of_time, of_frames = (pd.to_numeric(made[c]) for c in ("rmse_time_m", "rmse_position_m"))
+    if np.allclose(of_time, of_frames, rtol=SAME, atol=0.0, equal_nan=True):
         shown.remove("rmse_time_m")
     also = [c for c in more if c in metrics.columns and c not in shown]
     return selected(*_expecting(made[[*shown, *also]], COMPARISON | heads(also)))
@@ -143,13 +145,6 @@ def parts(table: Table) -> list[Table]:
         for columns, caption in ((errors, table.caption), (rest, paragraph("comparison#consistency_of_one_log")))
         if columns
     ]
-
-
-def _same(values: pd.Series, others: pd.Series) -> bool:
-    return all(
-        is_blank(a) == is_blank(b) and (is_blank(a) or abs(float(a) - float(b)) <= SAME * abs(float(b)))
-        for a, b in zip(values.tolist(), others.tolist(), strict=True)
-    )
 
 
 def association_table(association: pd.DataFrame) -> pd.DataFrame:

@@ -55,8 +55,7 @@ def _text(value: Any, numeric: bool, whole: bool) -> str:
 
 def texts(frame: pd.DataFrame) -> list[list[str]]:
     """The body of a table as text, row by row."""
-    columns = [cell_texts(frame[c].tolist()) for c in frame.columns]
-    return [list(row) for row in zip(*columns, strict=True)]
+    return [list(row) for row in zip(*(cell_texts(frame[c].tolist()) for c in frame.columns), strict=True)]
 
 
 def drop_blank_columns(frame: pd.DataFrame) -> pd.DataFrame:
