@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from data.log import Log
 
 PROG = "python -m data.convert"
-OF_WINGS = (import_module(module) for wing in wings() for module in wing.conversions)
-SOURCES: tuple[Any, ...] = (own, *OF_WINGS)
+SOURCES: tuple[Any, ...] = (own, *(import_module(module) for wing in wings() for module in wing.conversions))
 """Modules with their KINDS, `add_parsers`, and `convert`: a log, or a sentence on a file written in another format."""
 
 

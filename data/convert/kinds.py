@@ -100,8 +100,7 @@ def _motion(args: argparse.Namespace, default: VelocityModel) -> VelocityModel:
         if kind in WITH_ALPHAS and len(numbers) not in WITH_ALPHAS[kind]:
             wanted_count = " or ".join(str(n) for n in WITH_ALPHAS[kind])
             raise UsageError(f"--motion-alphas: {kind} noise takes {wanted_count} numbers, not {len(numbers)}")
-        key = "alphas" if kind in WITH_ALPHAS else "sigma"
-        noise = VelocityNoise(kind, **{key: tuple(numbers)})
+        noise = VelocityNoise(kind, **{"alphas" if kind in WITH_ALPHAS else "sigma": tuple(numbers)})
     elif kind != noise.kind:
         raise UsageError(f"--motion-noise {kind} needs {flag}")
     return VelocityModel(noise, args.motion_model or default.model)

@@ -107,8 +107,7 @@ def reach(log: Log) -> list[Notice]:
         about = notice(Code.MAX_RANGE, farthest=farthest, past=beyond, readings=len(past), stated=stated, flags=flags)
         found.append(about)
     middle, half = 0.5 * (sensor.min_angle + sensor.max_angle), 0.5 * (sensor.max_angle - sensor.min_angle)
-    cartesian = sensor.kind == RELATIVE_POINT
-    sigma = sigma / np.maximum(polar[:, 0], 1e-6) if cartesian else np.sqrt(o.R[:, 1, 1])
+    sigma = sigma / np.maximum(polar[:, 0], 1e-6) if sensor.kind == RELATIVE_POINT else np.sqrt(o.R[:, 1, 1])
     aside = np.abs(wrap_angle(polar[:, 1] - middle)) > half + MARGIN * sigma
     if aside.mean() > BEYOND:
         low, high = sensor.min_angle, sensor.max_angle

@@ -436,8 +436,7 @@ def _headings(x: Examination, *, explained: bool) -> list[Explained]:
     known = np.isfinite(a)
     way = witnesses.fit_of((a - b)[known, None], 0.5 * (a + b)[known], 0.0 * a[known])
     # on straight ways the turns of the odometry are noise, which no true heading has
-    told = LEFT * fits[1].noise < ALIEN < fits[1].off
-    if explained or way is None or way.off > NEAR or not told:
+    if explained or way is None or way.off > NEAR or not LEFT * fits[1].noise < ALIEN < fits[1].off:
         return []
     return _told(Kind.STRANGE, "truth.theta", witness, fits[1].off, way.off, "deg")
 

@@ -106,8 +106,7 @@ class Case:
     def points(self, rows: IntArray, heading: Array) -> Array:
         """Observed points (n, 2) in the body frame, with headings (n,) of the body."""
         bearing = self.z[rows, 1] - (heading if self.world else 0.0)
-        xy = self.z[rows, :1] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
-        return transform_points(self.mount, xy)
+        return transform_points(self.mount, self.z[rows, :1] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1))
 
 
 def _poses_at(at: Array, time: Array, pose: Array) -> tuple[Array, BoolArray] | None:
@@ -340,8 +339,7 @@ def observations_and_map(c: Case, s: Samples) -> list[Fit | None]:
     count = np.diff(np.append(begin, len(rows)))[:, None]
     x, y = (p - (np.add.reduceat(p, begin) / count)[group] for p in (local, place))
     turn = np.arctan2(*(np.add.reduceat(v, begin) for v in (x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0], np.sum(x * y, 1))))
-    size = 0.5 * (np.hypot(*x.T) + np.hypot(*y.T))
-    return [*found, fit_of(rotated(turn[group], x) - y, size, _of_noise(c, rows))]
+    return [*found, fit_of(rotated(turn[group], x) - y, 0.5 * (np.hypot(*x.T) + np.hypot(*y.T)), _of_noise(c, rows))]
 
 
 BY_TRUTH = "truth and odometry"

@@ -4,13 +4,14 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
 import pandas as pd
 
 from eval.referee.consistency import MARKS
 from eval.referee.metrics import OF_DECISIONS, RUN, heads, is_share, metric
 from eval.referee.result_files import Row, is_blank, rows_of, value_of
 from eval.report.page.blocks import Table
-from eval.report.page.files import drop_blank_columns, interval, number
+from eval.report.page.files import HEADS, drop_blank_columns, interval, number
 from eval.report.words import paragraph
 
 NAMES = (*RUN, "status")
@@ -36,16 +37,9 @@ ASSOCIATION: Mapping[str, str] = {
     **heads([m.column for m in OF_DECISIONS if m.column not in ("share_within", "within_m", "majority_agreement")]),
 }
 
-CONSISTENCY: Mapping[str, str] = {
-    **{name: name for name in ("scenario", "task", "estimator", "association", "phase", "quantity")}, "dof": "expected",
-    "mean": "mean", "interval": "95 % interval of the mean", "verdict": "verdict", "runs": "runs",
-    "power_percent": "power against 0.8 P [%]", "diverged": "diverged",
-}  # fmt: skip
+CONSISTENCY: Mapping[str, str] = HEADS["consistency"]
 
-PUBLISHED: Mapping[str, str] = {
-    **{name: name for name in ("scenario", "estimator", "quantity", "ours")}, "se_ours": "± SE",
-    "published": "published", "se_published": "± SE of it", "difference_in_se": "difference [SE]",
-}  # fmt: skip
+PUBLISHED: Mapping[str, str] = HEADS["published"]
 
 OUTLIERS: Mapping[str, str] = {
     "task": "task", "percent": "wrong labels [%]", "estimator": "estimator", **heads(("rmse_position_m",)),
@@ -103,7 +97,8 @@ def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = (), *, aligned
         shown.remove("status")
     if not aligned or not (made["task"] == "slam").any():
         shown.remove("rmse_aligned_m")
-    if _same(made["rmse_time_m"], made["rmse_position_m"]):
+    of_time, of_frames = (pd.to_numeric(made[c]) for c in ("rmse_time_m", "rmse_position_m"))
+    if np.allclose(of_time, of_frames, rtol=SAME, atol=0.0, equal_nan=True):
         shown.remove("rmse_time_m")
     also = [c for c in more if c in metrics.columns and c not in shown]
     return selected(*_expecting(made[[*shown, *also]], COMPARISON | heads(also)))
@@ -143,13 +138,6 @@ def parts(table: Table) -> list[Table]:
         for columns, caption in ((errors, table.caption), (rest, paragraph("comparison#consistency_of_one_log")))
         if columns
     ]
-
-
-def _same(values: pd.Series, others: pd.Series) -> bool:
-    return all(
-        is_blank(a) == is_blank(b) and (is_blank(a) or abs(float(a) - float(b)) <= SAME * abs(float(b)))
-        for a, b in zip(values.tolist(), others.tolist(), strict=True)
-    )
 
 
 def association_table(association: pd.DataFrame) -> pd.DataFrame:

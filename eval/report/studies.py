@@ -78,9 +78,8 @@ def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Seq
     for study, pictures in zip(plain, _draw(plots, options, plain), strict=True):
         sections += _study(study, [j for j in judged if j.scenario == study.scenario.name], pictures, table)
     rates = [s for s in outcome.studies if s.scenario.part]  # each one rate of an outlier study
-    for source in dict.fromkeys(s.scenario.source for s in rates):
-        sections.append(_outliers(plots, [s for s in rates if s.scenario.source == source], table))
-    return sections
+    sources = dict.fromkeys(s.scenario.source for s in rates)
+    return sections + [_outliers(plots, [s for s in rates if s.scenario.source == source], table) for source in sources]
 
 
 def _study(study: Study, judged: Sequence[Judged], pictures: Sequence[Picture], table: TableWriter) -> list[Section]:
@@ -97,8 +96,7 @@ def _study(study: Study, judged: Sequence[Judged], pictures: Sequence[Picture], 
         fine = fine_print(FINE_PRINT["-consistency"])
         blocks.append(Table(comparison.verdicts_table(found), say("studies#means", name=s.name), fine=fine))
         blocks.append(say("studies#words", found=judge_estimators(study, judged)))
-        caption = f"{heading}: verdicts."
-        details.append(table(comparison.consistency_table(found), f"{name}-consistency", caption))
+        details.append(table(comparison.consistency_table(found), f"{name}-consistency", f"{heading}: verdicts."))
     if shares:
         caption = f"{heading}: coverage of the last position's ellipses."
         details.append(table(comparison.coverage_table(consistency_table(shares)), f"{name}-coverage", caption))
@@ -114,12 +112,11 @@ def _draw(folder: Path | None, options: Options, studies: Sequence[Study]) -> li
     pictures: list[list[Picture]] = [[] for _ in studies]
     if folder is None:
         return pictures
-    jobs: list[Job[tuple[int, int]]] = []
-    for i, study in enumerate(studies):
-        for task in study.scenario.task:
-            for association in names_of(study.scenario.association):
-                jobs.append(Job((i, len(jobs)), _picture, (folder, study, task, association)))
-    made = dict(work(jobs, options.execution))
+    each = [
+        (i, (folder, study, task, association)) for i, study in enumerate(studies)
+        for task in study.scenario.task for association in names_of(study.scenario.association)
+    ]  # fmt: skip
+    made = dict(work([Job((i, n), _picture, what) for n, (i, what) in enumerate(each)], options.execution))
     for i, place in sorted(made):
         if made[i, place] is not None:
             pictures[i].append(made[i, place])

@@ -222,7 +222,6 @@ def folded(text: str, summary: str, most: int = 420) -> tuple[Block, ...]:
     if text.startswith("* "):
         lines = text.split("\n* ")
         front, rest = cut(lines[0].removeprefix("* ").strip(), most)
-        kept = [rest] if rest else []
-        return (front, Folded(summary, ("\n".join(f"* {line}" for line in [*kept, *lines[1:]]),)))
+        return (front, Folded(summary, ("\n".join(f"* {line}" for line in [*[rest] * bool(rest), *lines[1:]]),)))
     front, rest = cut(text, most)
     return (front, Folded(summary, (rest,))) if rest else (front,)
