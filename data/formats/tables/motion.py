@@ -284,7 +284,7 @@ def _intervals(file: TextTable, columns: Columns, role: str) -> None:
     columns.notes.append(f"{file.path.name}: inferred: --columns {role}.dt={name}, as {name} does not ascend")
 
 
-LEAP, RESET = 20.0, 0.1  # Usual steps, and m, of a leap to the first pose, of an odometry that is set to zero
+LEAP, RESET = 5.0, 0.1  # Usual steps, and m, of a leap to the first pose, of an odometry that is set to zero
 MANY, SOME = 20, 0.1  # Fewest rows, and least share of steps back, of a column of times that are no stamps
 
 
