@@ -41,7 +41,7 @@ Bug = StrEnum(
     "NEW_FROM_PREDICTION NEW_FIXED NEW_FIXED_CORRECTED FIRST_DROPPED LAST_DROPPED EVERY_SECOND_DROPPED ALL_DROPPED "
     "DISCARDED_USED POSE_IN_BODY_FRAME JOINT_UNCORRELATED JOINT_PERMUTED EXPECTED_WITH_NOISE "
     "EXPECTED_WITHOUT_LANDMARK EXPECTED_BEFORE_MOTION NIS_IS_DOF NIS_OF_RESIDUALS NIS_WITHOUT_STATE NIS_WITHOUT_NOISE "
-    "NIS_UNCORRELATED PRIOR_ELSEWHERE ONE_DRAW",
+    "NIS_UNCORRELATED PRIOR_ELSEWHERE ONE_DRAW DEPLETED",
 )  # mistakes in a Kalman filter; `templates/checks.j2` has the words
 
 Change = Callable[[Array], Array]
@@ -330,6 +330,7 @@ EXACTLY, NEARLY = 1e-6, 0.05  # largest differences, in standard deviations of t
 SAMPLING = 5.0
 """Standard errors that a mean or sigma of samples may be off: over the frames and numbers compared, chance gives 4. At
 most `APPROXIMATE` is allowed."""
+DEPLETED = 8.0  # Least effective number of samples, of which any mean and covariance is chance
 ALIKE = 0.1  # a mistake is named if its filter is this much closer to the estimator than the exact one
 KNOWN = 1e-4  # rad; a heading with a smaller standard deviation is known
 GATE, NEW_GATE = 0.99, 0.99999
@@ -446,6 +447,7 @@ def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:
     # landmarks that are elsewhere as soon as there are any were initialized elsewhere, which no update explains
     elsewhere = order[:1] == [Quantity.LANDMARKS] and not any(len(s.number) for s in right[:first])
     bug = None if elsewhere else likely(world, task, mine) or first_step(text, inputs_of(world, task), allowed)
+    bug = Bug.DEPLETED if samples < DEPLETED and bug is not Bug.ONE_DRAW else bug
     left_out = len(begin) > 1 and all(np.isin(g.used, r.used).all() for g, r in zip(given, right, strict=False))
     facts: list[Fact] = []
     for q in order:

@@ -131,6 +131,11 @@ class OneDraw(Plain):
         return Samples(self.samples)
 
 
+def few(s):
+    drawn = np.random.default_rng(int(1e6 * abs(s.x[0]))).multivariate_normal(s.x[:3], s.P[:3, :3], 3)
+    return Samples(np.repeat(drawn, 100, axis=0))
+
+
 MUTANTS = {
     "no-R": (mutant(S=lambda s, HPH, R: HPH, gain=lambda s, H, S: s.P @ H.T @ np.linalg.pinv(S), nis=pinned), None),
     "R-doubled": (mutant(R=lambda s, R: 2 * R, R_new=lambda s, R: 2 * R), Bug.R_DOUBLED),
@@ -198,6 +203,7 @@ MUTANTS = {
         Bug.PRIOR_ELSEWHERE,
     ),
     "one-draw-for-all": (OneDraw, Bug.ONE_DRAW),
+    "three-samples-a-hundred-times": (mutant(estimate=few), Bug.DEPLETED),
     "joint-uncorrelated": (mutant(said=lambda s, o, n, z, J: said(s, o, n, z, blocks(J))), Bug.JOINT_UNCORRELATED),
     "joint-permuted": (mutant(said=lambda s, o, n, z, J: said(s, o, n, z, permuted(J))), Bug.JOINT_PERMUTED),
     "candidates-permuted": (mutant(said=lambda s, o, n, z, J: said(s, o, n, z, shifted(J))), None),
