@@ -27,6 +27,7 @@ from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import ELEMENT, columns_of, is_arrays, solids
 from data.formats.messages import LISTED, cut_end, kinds_of, parts_of, read_lines, whole_names
+from data.formats.results.bags import file_and_topic
 from data.formats.results.reading import RATES, REFERENCE, TRUE, role_of, topics_in, words_of
 from data.inputs import IntArray
 from data.notice import Notice
@@ -171,6 +172,12 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
     """
     if len(parts := parts_of(path)) > 1:
         return _joined(path, parts)
+    bag, topic = file_and_topic(str(path))
+    if topic is not None:
+        from data.formats.bags import table_of
+
+        columns, messages = table_of(bag, topic)
+        return TextTable(path, columns, tuple(messages), np.arange(1, len(messages) + 1), named=True)
     if is_arrays(path):
         columns, values = columns_of(path, stated, odometry)
         return TextTable(path, columns, values, np.arange(1, len(values) + 1), named=True)

@@ -20,6 +20,7 @@ from data.errors import DataError, UsageError, unknown
 from data.formats.messages import file_and_word, parts_of
 from data.formats.open_log import Recording, Samples
 from data.formats.recordings.laser import FLOOR, without_odometry
+from data.formats.results.bags import file_and_topic
 from data.formats.results.path import ABSENT, COARSE, in_order, unturned
 from data.formats.second_odometry import together
 from data.formats.tables.files import QUATERNION, SCANS, SECOND, TextTable, headings, nothing_there
@@ -424,7 +425,8 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     several = [of.sensor.label for of in wanted.sensors if of.sensor.label]
     files = {role: path.name for role, path in wanted.files.items() if role not in several}
     each = {role: [path] if path.is_dir() else parts_of(path) for role, path in wanted.files.items()}
-    digest = {role: " ".join(file_sha256(file_and_word(p)[0]) for p in some) for role, some in each.items()}
+    sources = {role: [file_and_word(file_and_topic(str(p))[0])[0] for p in some] for role, some in each.items()}
+    digest = {role: " ".join(map(file_sha256, some)) for role, some in sources.items()}
     files |= {f"{role}_sha256": digest[role] for role in wanted.files if role not in several}
     more: dict[str, object] = {ODOMETRY_KIND: "velocities" if odometry.velocities else wanted.kind}
     if several:

@@ -241,7 +241,7 @@ def test_detections_that_nothing_mounts_on_the_robot_are_left_out_and_said(maker
     (lambda m: m.poses(1.0, [(2, 1)]), ("--odom", "/odo"), "no such topic in .*did you mean /odom"),
     (lambda m: m.poses(1.0, [(2, 1)]), ("--range-sigma", "1"), "--range-sigma 1: no topic of observations: ranges"),
     (lambda m: m._send(1.0, "/w", POINT, x=1.0, y=2.0), ("--skip", "/w"), "--skip /w: it is left out without it"),
-    (lambda m: m._send(1.0, "/w", POINT, x=1.0, y=2.0), ("--odom", "/w"), "or v, omega, exported as CSV"),
+    (lambda m: m._send(1.0, "/w", POINT, x=1.0, y=2.0), ("--odom", "/w"), "suit slamref convert table BAG:/TOPIC"),
     (lambda m: m._send(1.0, "/joint", POINT, x=1.0, y=2.0), ("--odom", "tf"), "/odom, or /joint: ticks left"),
     (lambda m: m.odometry(1.0, (0, 0, 0), "/other"), (), "--odom TOPIC is needed; topics of odometry: /odom"),
     (lambda m: m.satellites(1.0, (48.0, 11.0), 1.0), (), "the first heading in the frame of the fixes is unknown"),
@@ -254,6 +254,22 @@ def test_one_line_says_what_is_wrong(maker, convert, tmp_path, add, words, said)
     add(maker)
     found = convert({}, "bag", maker.save(tmp_path), "out", *words, status=2)
     assert re.search(said.replace("(", r"\("), found)
+
+
+def test_numbers_of_a_topic_are_a_table(maker, convert, tmp_path):
+    """Of any type; the same bag's odometry is the truth."""
+    for t in TIMES:
+        maker._send(t, "/wheels", POINT, x=0.5, y=0.2)
+    bag = maker.save(tmp_path)
+    names = "v=x,omega=y,truth.x=pose.pose.position.x,truth.y=pose.pose.position.y"
+    log, _ = convert({}, "table", f"{bag}:/wheels", "out", "--truth", f"{bag}:/odom", "--columns", names)
+    step = float(np.diff(TIMES)[0])
+    assert log.recorded.time - START == pytest.approx(TIMES)
+    assert log.recorded.increments.mean[1] == pytest.approx(
+        se2.along_arcs(np.array([0.5 * step]), np.array([0.2 * step]))[0]
+    )
+    assert np.isfinite(log.truth.pose[:, :2]).all()
+    assert "no topic /none; it has " in convert({}, "table", f"{bag}:/none", "out", status=2)
 
 
 def test_satellites_tell_the_heading_at_the_start(maker, tmp_path, capsys):
