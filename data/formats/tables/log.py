@@ -425,8 +425,8 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     several = [of.sensor.label for of in wanted.sensors if of.sensor.label]
     files = {role: path.name for role, path in wanted.files.items() if role not in several}
     each = {role: [path] if path.is_dir() else parts_of(path) for role, path in wanted.files.items()}
-    sources = {role: [file_and_word(file_and_topic(str(p))[0])[0] for p in some] for role, some in each.items()}
-    digest = {role: " ".join(map(file_sha256, some)) for role, some in sources.items()}
+    digested = {role: [file_and_word(file_and_topic(str(p))[0])[0] for p in some] for role, some in each.items()}
+    digest = {role: " ".join(map(file_sha256, some)) for role, some in digested.items()}
     files |= {f"{role}_sha256": digest[role] for role in wanted.files if role not in several}
     more: dict[str, object] = {ODOMETRY_KIND: "velocities" if odometry.velocities else wanted.kind}
     if several:
