@@ -5,6 +5,7 @@ A second one becomes closures between successive frames (`--second-odometry FILE
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -136,6 +137,10 @@ def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | Non
     if not found:
         what = f"no odometry: {file.described()}; one of {listed} is needed"
         own = "" if role == "odometry" else f"{role}."
+        if any(re.search("(?i)acc|^a_?[xy]$", name) for name in file.names):
+            what += (
+                " (accelerations alone are no odometry, as their errors grow with the square of time; a gyro is omega)"
+            )
         raise DataError.at(file.path, f"{what}; name them as in --columns {own}v=SPEED,{own}omega=TURN_RATE")
     raise DataError.at(file.path, f"holds {' and '.join(named or found)}; choose one with --{role}-kind {found[0]}")
 
