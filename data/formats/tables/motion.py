@@ -139,7 +139,7 @@ def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | Non
         own = "" if role == "odometry" else f"{role}."
         if any(re.search("(?i)acc|^a_?[xy]$", name) for name in file.names):
             what += (
-                " (accelerations alone are no odometry, as their errors grow with the square of time; a gyro is omega)"
+                " (accelerations are not integrated: their errors grow with the square of time; a gyro is omega)"
             )
         raise DataError.at(file.path, f"{what}; name them as in --columns {own}v=SPEED,{own}omega=TURN_RATE")
     raise DataError.at(file.path, f"holds {' and '.join(named or found)}; choose one with --{role}-kind {found[0]}")
