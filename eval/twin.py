@@ -43,7 +43,8 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     task = options.task or default_task(log)
     association = "known" if log.has_labels else HINDSIGHT if log.recorded.sensor.sees_points else FOR_WALLS
     if options.association is not None:
-        load_all((), (one_settled("--association", options.association, "association"),))
+        association = one_settled("--association", options.association, "association")
+        load_all((), (association,))
     check_possible_on(log, (task,), (association,))
     inputs, setup = inputs_of(log, task, association), Setup()
     smoother = smoother_of(compare(inputs, task, ("ekf", "batch"), association, setup), inputs)

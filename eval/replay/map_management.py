@@ -91,7 +91,8 @@ class MapManagement:
             self.remove(retracted)
             self.retracted.update(retracted.tolist())
         if s.forget_after is not None:
-            self.remove(np.flatnonzero(~of["removed"] & (now - of["last"] > s.forget_after)))
+            forgotten = np.flatnonzero(~of["removed"] & (now - of["last"] > s.forget_after))
+            self.remove(forgotten)
         if s.deactivate_after is not None:
             parked = np.flatnonzero(~of["removed"] & ~of["parked"] & (now - of["active"] > s.deactivate_after))
             of["parked"][parked] = True

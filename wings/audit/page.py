@@ -66,7 +66,8 @@ def _of_file(
     told("opened", factors=graph.size(), variables=values.size())
     ends: dict[str, Values] = {}
     if optimize:  # of several minima the lowest is examined
-        values = min(_ends(file, graph, values).values(), key=graph.error)
+        ends = _ends(file, graph, values)
+        values = min(ends.values(), key=graph.error)
         told("optimized", chi2=2.0 * graph.error(values))
     report = _reported(audit(graph, values, names), graph, values, resolve)
     unread = tuple(f"{count} {tag}" for tag, count in file.other.items())

@@ -138,9 +138,7 @@ def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | Non
         what = f"no odometry: {file.described()}; one of {listed} is needed"
         own = "" if role == "odometry" else f"{role}."
         if any(re.search("(?i)acc|^a_?[xy]$", name) for name in file.names):
-            what += (
-                " (accelerations are not integrated: their errors grow with the square of time; a gyro is omega)"
-            )
+            what += " (accelerations are not integrated: their errors grow with the square of time; a gyro is omega)"
         raise DataError.at(file.path, f"{what}; name them as in --columns {own}v=SPEED,{own}omega=TURN_RATE")
     raise DataError.at(file.path, f"holds {' and '.join(named or found)}; choose one with --{role}-kind {found[0]}")
 
