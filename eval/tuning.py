@@ -402,8 +402,7 @@ def fit(model: Model, decisions: IntArray, frames: int | None = None) -> Fit:
 
 def _slope(function: Callable[[Array], float | Array], x: Array, step: float) -> Array:
     """Derivative (..., k) of a function of x (k,), by central differences."""
-    ahead = step * np.eye(len(x))
-    return np.array([function(x + h) - function(x - h) for h in ahead]).T / (2.0 * step)
+    return np.array([function(x + h) - function(x - h) for h in step * np.eye(len(x))]).T / (2.0 * step)
 
 
 def _cost(model: Model, decisions: IntArray, frames: int | None) -> Callable[[Array, float], float]:

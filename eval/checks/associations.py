@@ -139,8 +139,7 @@ def lone(rng: np.random.Generator, share: float, gate: float) -> Expectation:
     turn = rng.uniform(-math.pi, math.pi)
     white = math.sqrt(share * gate_threshold(gate)) * np.array([math.cos(turn), math.sin(turn)])
     z_hat = np.array([[9.0, 0.5]])
-    z = z_hat + np.linalg.cholesky(HPHt + R) @ white
-    return frame(z, z_hat, HPHt, R, [4])
+    return frame(z_hat + np.linalg.cholesky(HPHt + R) @ white, z_hat, HPHt, R, [4])
 
 
 @check("inside the gate")

@@ -240,8 +240,7 @@ class Kalman:
             held = NONE if self.map is None else self.map.id
             extra = np.flatnonzero(decisions < NEW) if len(self.x) > 3 or len(held) else NONE
             chosen = np.concatenate([chosen, extra])
-            first = held[0] if len(held) else 0
-            numbers = np.concatenate([numbers, np.full(len(extra), first, np.int64)])
+            numbers = np.concatenate([numbers, np.full(len(extra), held[0] if len(held) else 0, np.int64)])
         if len(chosen):
             nis = self._correct(observations.z[chosen], observations.R[chosen], numbers)
         if self.map is None:
@@ -281,8 +280,7 @@ class Kalman:
             return 2.0 * k
         if r.mistake is Bug.NIS_OF_RESIDUALS:
             nu = np.asarray(self.sensor.residual(z, self._linearized(number, self.x[:3])[0]))
-        weight = weights.get(r.mistake, S) if r.mistake else S
-        return float(nu.ravel() @ np.linalg.pinv(weight) @ nu.ravel())
+        return float(nu.ravel() @ np.linalg.pinv(weights.get(r.mistake, S) if r.mistake else S) @ nu.ravel())
 
     def _found(self, z: Array, R: Array, predicted: Array) -> None:
         r, d = self.rules, len(self.x)

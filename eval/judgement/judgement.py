@@ -408,8 +408,7 @@ def decided(
         found.append(Objected(Objection.CONVENTION, ""))
     if log_faults.map_rows is not None:
         found.append(Objected(Objection.MAP, ""))
-    order = list(Objection)
-    return verdict, tuple(sorted(found, key=lambda o: order.index(o.objection)))
+    return verdict, tuple(sorted(found, key=lambda o: list(Objection).index(o.objection)))
 
 
 def _named(verdict: Verdict, compared: Comparison) -> tuple[RunJudgement, ...]:

@@ -86,8 +86,7 @@ def named(found: Sequence[Finding], *, wandering: bool, inputs: Inputs) -> tuple
     scales of odometry and ranges are indistinguishable, and the odometry's is estimated. A wrong wheelbase affects
     turns to both sides, so one of them names both.
     """
-    bearing = "z2_constant" if isinstance(inputs.sensor, RangeBearing) else "z2_range"
-    of = {**OF_MOTION, bearing: "bearing"}
+    of = {**OF_MOTION, "z2_constant" if isinstance(inputs.sensor, RangeBearing) else "z2_range": "bearing"}
     known = [next((n for n in (f.name, *f.other) if n in of), "") for f in found if f.kind == "systematic"]
     names = {of[f] for f in known if f} | ({"drift"} if wandering else set())
     names |= {"left", "right"} if names & {"left", "right"} else set()

@@ -205,8 +205,7 @@ def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:
         setup = options.setup.settled(log.labels_are_sensed)
         experiments.append(Experiment(log, task, _work(log, s) if asked else work, setup))
         if not asked and ":people" in name and not quick and not options.setup.manages_map:
-            kept = lab if full else (Work("jcbb", ("ekf",)),)
-            experiments.append(maintained(experiments[-1], kept))
+            experiments.append(maintained(experiments[-1], lab if full else (Work("jcbb", ("ekf",)),)))
     return experiments
 
 

@@ -48,8 +48,7 @@ def words_of(options: Options) -> list[str]:
                 value = tuple(shown(text) for text in value)
             found = row.words(value)
             if row.name == positional:
-                dashed = any(word.startswith("-") for word in found if word != row.option)
-                named = found if dashed else found[1::2]
+                named = found if any(w.startswith("-") for w in found if w != row.option) else found[1::2]
             else:
                 words += found
     return ["slamref", command, *named, *words]

@@ -204,8 +204,7 @@ def runs_of(result: Result, log: Log, task: str, truth: TruePath | None, reading
             notes += about_pair(Pair(scored, truth.path, run.match.truth, run.space.get(phase), run.aligned != NONE))
             notes += () if truth.path is None else about_file(truth.path)
         named = {} if truth is None or truth.path is None else {truth.path.file: TRUTH}
-        notes = called(notes, named | {last.file: result.name})
-        yield replace(run, notes=(*run.notes, *notes))
+        yield replace(run, notes=(*run.notes, *called(notes, named | {last.file: result.name})))
 
 
 def _comparable(

@@ -61,8 +61,7 @@ def work(
     if far and execution.scheduler is not None:
         results = on_cluster(execution.scheduler, list(calls.values())) if calls else iter(())
     else:
-        processes = execution.jobs if sum(job.seconds for job in jobs) > 2.0 * START else 1
-        results = _together(calls, processes)
+        results = _together(calls, execution.jobs if sum(job.seconds for job in jobs) > 2.0 * START else 1)
     for i, result in results:
         owner = jobs[i].owner
         if not isinstance(result, Notice):

@@ -23,8 +23,7 @@ def rank_p(value: float, twins: Array) -> float:
     known = twins[np.isfinite(twins)]
     if not len(known) or not math.isfinite(value):
         return math.nan
-    smaller = min(1 + int(np.sum(known >= value)), 1 + int(np.sum(known <= value)))
-    return min(1.0, 2.0 * smaller / (len(known) + 1))
+    return min(1.0, 2.0 * (1 + min(int(np.sum(known >= value)), int(np.sum(known <= value)))) / (len(known) + 1))
 
 
 def bounds(twins: Array, level: float = 0.95) -> tuple[float, float]:

@@ -141,8 +141,7 @@ def poses_of(inputs: Inputs, used: Used, hypotheses: Sequence[Effect] = ()) -> O
     by_fixes = _stacked(f, 3, [e.fixes for e in hypotheses])
     by_closures = _stacked(k, 3, [e.closures for e in hypotheses])
     fixes = np.zeros(f, bool) if used.fixes is None else used.fixes
-    closures = np.zeros(k, bool) if used.closures is None else used.closures
-    return OfPoses(fixes, by_fixes, closures, by_closures)
+    return OfPoses(fixes, by_fixes, np.zeros(k, bool) if used.closures is None else used.closures, by_closures)
 
 
 def without(inputs: Inputs, path: Array, used: Used, sizes: Mapping[str, float]) -> Inputs:

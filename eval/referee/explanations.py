@@ -474,8 +474,7 @@ def _sigma(e: Evidence, of: OfSource) -> list[Explanation]:
 
 def _dof(e: Evidence, of: OfSource) -> float:
     """Degrees of freedom of the residuals of a source."""
-    whole = e.redundancy.closures if of.source.of_closures else e.redundancy.fixes
-    return float(whole[of.rows].sum())
+    return float((e.redundancy.closures if of.source.of_closures else e.redundancy.fixes)[of.rows].sum())
 
 
 def _correlated(e: Evidence, of: OfSource) -> list[Explanation]:

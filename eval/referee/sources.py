@@ -128,8 +128,7 @@ def score_source(run: Run, source: Source, phase: str, truth: Truth | None = Non
     mean, expected, variance = float(nis[taken].sum()) / total, float(moments[0]) / total, float(moments[1]) / total
     scored = replace(bare, nis_mean=mean, nis_dof=total, expected=expected, variance=variance)
     if phase != "online":
-        each = special.chdtrc(dof[taken], nis[taken])
-        return replace(scored, outlying=int((each < SURE / taken.sum()).sum()))
+        return replace(scored, outlying=int((special.chdtrc(dof[taken], nis[taken]) < SURE / taken.sum()).sum()))
     low, high = nis_bounds(total, (expected, variance))
     lag1, error = math.nan, math.nan
     if taken.sum() >= FEWEST:
@@ -143,8 +142,7 @@ def score_source(run: Run, source: Source, phase: str, truth: Truth | None = Non
 def outcomes_of(used: BoolArray, inlier: IntArray) -> tuple[int, int, int, int]:
     """TP, TN, FP, FN of accepted measurements (n,) against truth (n,): 1 inlier, 0 outlier, -1 unknown."""
     right, wrong = inlier == 1, inlier == 0
-    counts = (used & right, ~used & wrong, used & wrong, ~used & right)
-    tp, tn, fp, fn = (int(c.sum()) for c in counts)
+    tp, tn, fp, fn = (int(c.sum()) for c in (used & right, ~used & wrong, used & wrong, ~used & right))
     return tp, tn, fp, fn
 
 

@@ -165,8 +165,7 @@ def of_smoother(run: Run, inputs: Inputs) -> dict[str, Statistic]:
     used = residuals.used_by(run, inputs)
     rest = corrected_inputs(inputs, run.errors_final)
     found = residuals.smoothed_residuals(rest, path, used)
-    for name, value in (residuals.summaries(found, rest, used) | sources.summaries(rest, path, used)).items():
-        result[name] = Statistic(value, 0.0 if name.endswith("_mean") else math.nan)
-    for name, (value, error) in effects.scored(inputs, path, used, run.errors_final).slopes().items():
-        result[f"slope_{name}"] = Statistic(value, 0.0, error)
-    return result
+    summaries = residuals.summaries(found, rest, used) | sources.summaries(rest, path, used)
+    result |= {n: Statistic(v, 0.0 if n.endswith("_mean") else math.nan) for n, v in summaries.items()}
+    slopes = effects.scored(inputs, path, used, run.errors_final).slopes()
+    return result | {f"slope_{name}": Statistic(value, 0.0, error) for name, (value, error) in slopes.items()}

@@ -202,8 +202,7 @@ class FrontEnd:
         )
         self.own: OwnInnovations | None = None  # its innovations
         if self.foreign is not None:
-            expect = self.foreign.expect if self.foreign.has("expect") else None
-            self.own = OwnInnovations(expect, self.given.sensor)
+            self.own = OwnInnovations(self.foreign.expect if self.foreign.has("expect") else None, self.given.sensor)
 
     def move(self, frame: Frame) -> None:
         """Predict the next frame; the first one has no motion."""

@@ -265,8 +265,7 @@ def verdicts(good: Sequence[Sample]) -> list[tuple[str, Verdict]]:
     found: list[tuple[str, Verdict]] = []
     for quantity, dof in DOF.items():
         means = np.array([s.means.get(quantity, math.nan) for s in good])
-        missing = not np.isfinite(means).all() if good else quantity not in QUANTITIES
-        if not missing:
+        if np.isfinite(means).all() if good else quantity in QUANTITIES:
             words = consistency.INNOVATIONS if quantity == "nis" else consistency.ERRORS
             found.append((quantity, consistency.verdict(means, dof, words=words)))
     if good and all("whiteness" in s.means for s in good):

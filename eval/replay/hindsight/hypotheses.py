@@ -121,8 +121,7 @@ class DetectionRates:
         """Margin (n,) [rad] inside the limits of the view; 0 without limits."""
         if self.sensor.max_angle - self.sensor.min_angle >= 2.0 * math.pi:
             return 0.0
-        across = sigma[:, 1] if self.sensor.kind == RANGE_BEARING else sigma.max(axis=1)
-        return -across - MARGIN
+        return -(sigma[:, 1] if self.sensor.kind == RANGE_BEARING else sigma.max(axis=1)) - MARGIN
 
     def learn(self, part: IntArray, taken: BoolArray, share: float | Array) -> None:
         """Landmarks (k,) in bins `part`, in view, were detected or not; share: the hypothesis', times P(in view)."""

@@ -414,8 +414,7 @@ class LocalizingFrontEnd(FrontEnd):
 
     def notes(self) -> list[Notice]:
         """Messages about the run, revisions and alarms."""
-        revised = len({e.observation for e in self._revised})
-        notes = [*super().notes(), notice(Code.REVISED_POSES, decisions=revised)]
+        notes = [*super().notes(), notice(Code.REVISED_POSES, decisions=len({e.observation for e in self._revised}))]
         if self.alarms:
             times, first = len(self.alarms), self.alarms[0]
             notes.append(notice(Code.FOUND_AGAIN, times=times, first=first, found=len(self.found)))

@@ -211,13 +211,8 @@ def medians(values: Array, of: IntArray) -> Array:
 
 def _neighbours(xy: Array) -> set[tuple[int, int]]:
     """Each of the points (n, 2) with the nearest others, as pairs of rows in ascending order."""
-    pairs = set()
-    for i in range(len(xy)):
-        distance = np.hypot(*(xy - xy[i]).T)
-        for j in np.argsort(distance, kind="stable")[: 1 + constants.SAME_NEAREST].tolist():
-            if i != j:
-                pairs.add((min(i, j), max(i, j)))
-    return pairs
+    nearest = [np.argsort(np.hypot(*(xy - here).T), kind="stable")[: 1 + constants.SAME_NEAREST] for here in xy]
+    return {(min(i, j), max(i, j)) for i, near in enumerate(nearest) for j in near.tolist() if i != j}
 
 
 def log_odds(one: IntArray, other: IntArray, path: Array, apart: float) -> float:
