@@ -389,8 +389,7 @@ class OpenEnd:
         pose, b = window.pose(key), e.of_variables(apart)
         if self.frame.same:
             C, of_pose = window.covariance([key]), pose
-            own = (np.sqrt(np.diag(window.covariance([k]))) for k in variables)
-            spread = np.concatenate([np.empty(0), *own])
+            spread = np.concatenate([np.empty(0), *(np.sqrt(np.diag(window.covariance([k]))) for k in variables)])
         else:
             J = window.covariance([key, *variables])
             T = self._raw(pose[2])

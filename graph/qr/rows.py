@@ -103,8 +103,7 @@ class Linearizer:
         self._first: tuple[gtsam.Values, tuple[Array, Array, Array]] | None = None
         # with closures no variable counts as a pose of a bare chain, whose order would fill in
         chain = 0 if any(p.closure for p in of_poses) else n
-        drift = motion.first_of if motion.knots else NO_DRIFT
-        order = ordering(self._variable, chain, len(self._dim), drift)
+        order = ordering(self._variable, chain, len(self._dim), motion.first_of if motion.knots else NO_DRIFT)
         self.structure: Structure = structure(self._variable, self._dim, order)
 
     def _observations(self, measured: Sequence[Sequence[Factor]]) -> tuple[list[Chunk], gtsam.NonlinearFactorGraph]:

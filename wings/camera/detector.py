@@ -566,5 +566,4 @@ def _name(image: NDArray[np.uint8], name: str, corner: Array, thick: int) -> Non
     box = (x, top), (x + wide + 2 * pad, top + high + below + pad)
     cv2.rectangle(image, *box, YELLOW, cv2.FILLED)
     cv2.rectangle(image, *box, BLACK, thick)
-    at = (x + pad, top + high + pad)
-    cv2.putText(image, name, at, cv2.FONT_HERSHEY_SIMPLEX, scale, BLACK, thick, cv2.LINE_AA)
+    cv2.putText(image, name, (x + pad, top + high + pad), cv2.FONT_HERSHEY_SIMPLEX, scale, BLACK, thick, cv2.LINE_AA)

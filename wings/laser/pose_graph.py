@@ -58,8 +58,7 @@ class PoseGraph:
 
     def add_loops(self, key1: IntArray, key2: IntArray, relative: Array, covariance: Array) -> None:
         """Poses (L, 3) of key2 (L,) in frames of key1 (L,), covariances (L, 3, 3). DataError for a singular one."""
-        ends = key1, key2, relative, covariance
-        factors, _, _ = relative_factors(*ends, lambda i: f"loop closure, number {i}")
+        factors, _, _ = relative_factors(key1, key2, relative, covariance, lambda i: f"loop closure, number {i}")
         self._factors += factors
         self._loops |= bool(factors)
 

@@ -264,13 +264,8 @@ def _of(trial: Trial) -> LaserRun:
     return run
 
 
-def _has_loops(trial: Trial, _: Variants) -> bool:
-    run = mapped(trial)
-    return run is not None and run.loops is not None and len(run.loops) > 0
-
-
 GRID = Kind(lambda trial, _: mapped(trial) is not None, _grid, in_quick=True, macro="laser#grid")
-LOOPS = Kind(_has_loops, _loops, macro="laser#loops")
+LOOPS = Kind(lambda trial, _: len(getattr(mapped(trial), "loops", None) or ()) > 0, _loops, macro="laser#loops")
 
 
 RELATIONS_CAPTION = "errors against the reference relations, mean ± standard deviation."

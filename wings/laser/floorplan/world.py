@@ -622,8 +622,7 @@ def _odometry(floorplan: Floorplan, truth: Array, rng: np.random.Generator) -> t
     exact = se2.between(truth[:-1], truth[1:])
     density = np.array([floorplan.sigma_along, floorplan.sigma_across, floorplan.sigma_turn])
     steady = density * math.sqrt(floorplan.period) * rng.standard_normal(exact.shape)
-    slips = rng.random((len(exact), 1)) < floorplan.slip
-    slipped = slips * np.array(SLIP) * rng.standard_normal(exact.shape)
+    slipped = (rng.random((len(exact), 1)) < floorplan.slip) * np.array(SLIP) * rng.standard_normal(exact.shape)
     mean, covariance = np.zeros_like(truth), np.zeros((len(truth), 3, 3))
     mean[1:] = exact + steady + slipped
     covariance[1:] = np.diag(np.square(density) * floorplan.period + floorplan.slip * np.square(SLIP))
