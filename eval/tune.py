@@ -13,9 +13,9 @@ from data.command import Command
 from data.errors import DataError, UsageError
 from data.terminal import counted, ending, in_columns
 from eval.plan.flags import texts_of
-from eval.plan.flags.table import KEEP_TRUTH
+from eval.plan.flags.table import HELP
 from eval.replay.flag import probability_or_auto
-from eval.replay.settings import SENSED_GATE, Setup
+from eval.replay.settings import Setup
 
 if TYPE_CHECKING:
     from data.log import Log
@@ -30,17 +30,9 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     parser = Command(prog, PROG, *texts_of("tune"))
     parser.add_argument("log", metavar="LOG", help="an open log folder with labels, or a name: arena:SEED, ...")
     parser.add_argument("out", metavar="OUT", type=Path, help="folder of the copy; replaces an earlier tuned log")
-    groups = (
-        "parameters to fit: of motion,sensor,bias,odometry,latency,growth, where growth is an exponent of range sigma "
-        "over range (default: all but growth)"
-    )
-    beyond = (
-        "reject pairings beyond this chi-square probability under the stated noise, or none, or auto (default): "
-        f"{SENSED_GATE} where a sensor read the labels, else none"
-    )
-    parser.add_argument("--fit", metavar="GROUPS", help=groups)
-    parser.add_argument("--gate", default="auto", metavar="P", help=beyond)
-    parser.add_argument("--keep-truth", action="store_true", help=KEEP_TRUTH)
+    parser.add_argument("--fit", metavar="GROUPS", help=HELP["tune_fit"])
+    parser.add_argument("--gate", default="auto", metavar="P", help=HELP["tune_gate"])
+    parser.add_argument("--keep-truth", action="store_true", help=HELP["keep_truth"])
     parser.add_argument("--use", metavar="TUNED", type=Path, help="apply the values of this tuned log, without a fit")
     options = parser.read(argv)
     from threadpoolctl import threadpool_limits

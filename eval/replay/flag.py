@@ -21,7 +21,7 @@ class Flag:
 
     read: Read  # the kind of its values
     metavar: str  # of the value; empty for a switch
-    help: str  # one line for `--help`
+    help: str = ""  # one line for `--help`; empty: that of `flags.toml` by its name
     numbers: bool = True  # whether estimators' numbers depend on it: it belongs to the command that reproduces them
     repeatable: bool = False  # given once for each value
     short: str = ""  # one letter

@@ -37,47 +37,23 @@ class Setup:
         >>> slamref.compare(log.inputs(), "slam", ["ekf"], "jcbb", wide)
     """
 
-    gate: float | None = row(
-        0.99, probability, "P",
-        "chi-square probability of the association gate, or none (default: 0.99; known is not gated)",
-    )  # fmt: skip
-    new_gate: float | None = row(
-        0.99999, probability, "P",
-        "an observation starts a landmark only outside this gate of every other; at least --gate (default: 0.99999; "
-        "the lab: 0.99; ml-ratio has its own test)",
-    )  # fmt: skip
-    gate_known: float | Literal["auto"] | None = row(
-        "auto", probability_or_auto, "P",
-        f"gate for observations paired by label: a probability, none, or auto (default): {SENSED_GATE} where a sensor "
-        "read the labels, else none; laser logs: of the EKF's loop closures",
-    )  # fmt: skip
+    gate: float | None = row(0.99, probability, "P")
+    new_gate: float | None = row(0.99999, probability, "P")
+    gate_known: float | Literal["auto"] | None = row("auto", probability_or_auto, "P")
     # apply the gate for labels to smoothers, too
-    gate_smoothers: bool = row(True, switch, "", "apply the gate for labels to filters only")
-    gate_poses: float | None = row(
-        POSE_GATE, probability, "P", f"gate for fixes of the pose and closures, or none (default: {POSE_GATE})"
-    )
-    in_view: bool = row(False, switch, "", "the EKF offers only landmarks in range and view")
+    gate_smoothers: bool = row(True, switch)
+    gate_poses: float | None = row(POSE_GATE, probability, "P")
+    in_view: bool = row(False, switch)
     # association uses descriptors and classes, where the log has them
-    appearance: bool = row(True, switch, "", "association ignores descriptors and classes of landmarks")
-    maintain: bool = row(False, switch, "", "SLAM: remove landmarks seen once and more than two frames ago")
-    maintain_by: str = row(
-        "", text("a FILE.py:NAME"), "FILE.py:NAME", "SLAM: your function says after each frame which landmarks leave"
-    )
-    forget_after: float | None = row(
-        None, positive_or_none, "S", "EKF-SLAM drops landmarks unseen for S seconds (frames without stamps)"
-    )
-    deactivate_after: float | None = row(
-        None, positive_or_none, "S", "EKF-SLAM parks such landmarks, and restores them when they may be seen again"
-    )
-    lag: float = row(30.0, positive, "S", "fixed-lag keeps poses for S seconds (frames without stamps; default: 30)")
-    keyframe_distance: float = row(0.4, positive, "M", "laser logs: a key pose every M metres (default: 0.4)")
-    hypotheses: int = row(5, whole(1, "a whole number from 1 up is needed"), "N", "mht: keep N hypotheses (default: 5)")
-    calibrate: tuple[str, ...] = row(
-        (), read_errors, "NAMES",
-        "estimate systematic errors of odometry and sensor: NAME[=SIGMA],... of scale, curvature, left, right, drift, "
-        "range, bearing (SIGMA: prior); alone or auto: those that the log's residuals name, else all with tight priors",
-        bare=AUTO,
-    )  # fmt: skip
+    appearance: bool = row(True, switch)
+    maintain: bool = row(False, switch)
+    maintain_by: str = row("", text("a FILE.py:NAME"), "FILE.py:NAME")
+    forget_after: float | None = row(None, positive_or_none, "S")
+    deactivate_after: float | None = row(None, positive_or_none, "S")
+    lag: float = row(30.0, positive, "S")
+    keyframe_distance: float = row(0.4, positive, "M")
+    hypotheses: int = row(5, whole(1, "a whole number from 1 up is needed"), "N")
+    calibrate: tuple[str, ...] = row((), read_errors, "NAMES", bare=AUTO)
 
     def __post_init__(self) -> None:
         for name in ("gate", "new_gate", "gate_known", "gate_poses"):

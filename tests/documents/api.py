@@ -9,6 +9,7 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import slamref
+from eval.plan.flags.table import HELP
 
 GROUPS = {
     "Logs and runs": "open_log Log compare Setup make_estimator", "Association": "decide Expectation NEW DISCARD",
@@ -111,7 +112,7 @@ def methods(thing: type) -> Iterator[tuple[str, str]]:
 
 def members(thing: type) -> Iterator[str]:
     held = getattr(thing, "__dataclass_fields__", {}).values()
-    told = {f.name: f.metadata["flag"].help for f in held if "flag" in f.metadata}
+    told = {f.name: HELP[f.name] for f in held if "flag" in f.metadata}
     told |= {a or c: b or d for b, a, c, d in re.findall(FIELD, inspect.getsource(thing))}
     for title, listed in ("Attributes", told.items()), ("Methods", methods(thing)):
         if rows := [f"* `{name}`: {about}" for name, about in listed]:

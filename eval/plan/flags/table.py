@@ -18,7 +18,7 @@ from eval.figures import FIGURES
 from eval.plan.flags import TEXTS
 from eval.replay import flag
 from eval.replay.external.spec import FORM, own_or_foreign
-from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, TASKS, Setup
+from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, POSE_GATE, SENSED_GATE, TASKS, Setup
 from eval.studies.shipped import scenarios
 
 FORMATS = ("csv", "md", "tex")
@@ -65,7 +65,7 @@ def points(label: str, value: object) -> float:
 _NAMES = {
     "estimators": ", ".join(ESTIMATORS), "associations": ", ".join(ASSOCIATIONS), "scenarios": ", ".join(scenarios()),
     "figures": ", ".join(KINDS), "factors": ", ".join(FACTORS), "default": ",".join(DEFAULT_ESTIMATORS), "form": FORM,
-    "quick_runs": QUICK_RUNS, "twins": TWINS,
+    "quick_runs": QUICK_RUNS, "twins": TWINS, "sensed": SENSED_GATE, "poses": POSE_GATE,
 }  # fmt: skip
 HELP = {k: v.format(**_NAMES) for k, v in tomllib.loads((TEXTS / "flags.toml").read_text(encoding="utf-8")).items()}
 """Help of each flag by its name."""
@@ -74,46 +74,42 @@ several = partial(flag.row, (), flag.texts, repeatable=True)  # a flag given onc
 file_row = partial(flag.row, None, flag.text("a file"), "FILE")
 switch_row = partial(flag.row, False, flag.switch, "")
 free_switch = partial(flag.free_row, False, flag.switch, "")
-KEEP_TRUTH = HELP["keep_truth"]
-keep_truth_row = partial(switch_row, KEEP_TRUTH)
-exclude_truth_row = partial(flag.row, (), flag.stretches, "FROM:TO", HELP["exclude_truth"], repeatable=True)
+exclude_truth_row = partial(flag.row, (), flag.stretches, "FROM:TO", repeatable=True)
 
 
-def choice(default: str, others: Iterable[str], metavar: str, help: str, kind: Callable[..., Any] = flag.row) -> Any:
+def choice(default: str, others: Iterable[str], metavar: str, kind: Callable[..., Any] = flag.row) -> Any:
     """A flag with one of several names, the default among them."""
-    return kind(default, flag.one_of((default, *others)), metavar, help)
+    return kind(default, flag.one_of((default, *others)), metavar)
 
 
 @dataclass(frozen=True)
 class Selection:
     """Logs, tasks, estimators and association methods."""
 
-    log: tuple[str, ...] = several("PATH|NAME", HELP["log"])
-    data: tuple[str, ...] = several("DIR", HELP["data"])
-    scenario: tuple[str, ...] = several("NAME|FILE|all", HELP["scenario"])
-    task: tuple[str, ...] = flag.row((), flag.names(TASKS), "LIST", HELP["task"])
-    estimator: tuple[str, ...] = flag.row(
-        DEFAULT_ESTIMATORS, own_or_foreign("estimator", least=1), "LIST", HELP["estimator"]
-    )
-    association: tuple[str, ...] = flag.row((), own_or_foreign("association"), "LIST", HELP["association"])
-    lab: str | None = flag.row(None, flag.text("a lab"), "NAME|FOLDER", HELP["lab"])
-    cooperative: bool = switch_row(HELP["cooperative"])
+    log: tuple[str, ...] = several("PATH|NAME")
+    data: tuple[str, ...] = several("DIR")
+    scenario: tuple[str, ...] = several("NAME|FILE|all")
+    task: tuple[str, ...] = flag.row((), flag.names(TASKS), "LIST")
+    estimator: tuple[str, ...] = flag.row(DEFAULT_ESTIMATORS, own_or_foreign("estimator", least=1), "LIST")
+    association: tuple[str, ...] = flag.row((), own_or_foreign("association"), "LIST")
+    lab: str | None = flag.row(None, flag.text("a lab"), "NAME|FOLDER")
+    cooperative: bool = switch_row()
 
 
 @dataclass(frozen=True)
 class Matching:
     """How files of results are read and matched with the truth; `slamref score` has these flags, too."""
 
-    cov: tuple[str, ...] = several("[NAME=]FILE", HELP["cov"])
-    times: tuple[str, ...] = several("[NAME=]FILE", HELP["times"])
-    cov_frame: tuple[str, ...] = several("[NAME=]FRAME", HELP["cov_frame"])
-    cov_order: tuple[str, ...] = several("[NAME=]ORDER", HELP["cov_order"])
-    axes: tuple[str, ...] = several("[NAME=]AXES", HELP["axes"])
-    unit: tuple[str, ...] = several("[NAME=]UNIT", HELP["unit"])
-    time_offset: tuple[str, ...] = several("[NAME=]S", HELP["time_offset"])
-    align: str = choice("none", ("first", "se2", "se3", "sim3", "yaw"), "HOW", HELP["align"])
-    pairs: str = choice("evo", ("rpg", "openvins"), "WHOSE", HELP["pairs"])
-    truth_gap: float | None = flag.row(None, flag.positive, "S", HELP["truth_gap"])
+    cov: tuple[str, ...] = several("[NAME=]FILE")
+    times: tuple[str, ...] = several("[NAME=]FILE")
+    cov_frame: tuple[str, ...] = several("[NAME=]FRAME")
+    cov_order: tuple[str, ...] = several("[NAME=]ORDER")
+    axes: tuple[str, ...] = several("[NAME=]AXES")
+    unit: tuple[str, ...] = several("[NAME=]UNIT")
+    time_offset: tuple[str, ...] = several("[NAME=]S")
+    align: str = choice("none", ("first", "se2", "se3", "sim3", "yaw"), "HOW")
+    pairs: str = choice("evo", ("rpg", "openvins"), "WHOSE")
+    truth_gap: float | None = flag.row(None, flag.positive, "S")
 
 
 @dataclass(frozen=True)
@@ -122,59 +118,59 @@ class Scoring(Matching):
 
     columns: tuple[str, ...] = several("KEY=NAME,...", HELP["path_columns"])
     exclude_truth: tuple[str, ...] = exclude_truth_row()
-    keep_truth: bool = keep_truth_row()
+    keep_truth: bool = switch_row()
 
 
 @dataclass(frozen=True)
 class Results(Matching):
     """Results of other programs, and their truth."""
 
-    result: tuple[str, ...] = several("NAME=FILE", HELP["result"])
-    truth: str | None = file_row(HELP["truth"])
+    result: tuple[str, ...] = several("NAME=FILE")
+    truth: str | None = file_row()
 
 
 @dataclass(frozen=True)
 class Opening:
     """How logs are opened: their ground truth, logs with images, laser logs."""
 
-    camera_translation: str = choice("cm", ("mm", "m"), "UNIT", HELP["camera_translation"])
-    camera_reading: str = choice("to-camera", ("to-body",), "WAY", HELP["camera_reading"])
-    corner_noise: str = choice("lab", ("depth",), "KIND", HELP["corner_noise"])
-    trust_pickle: bool = switch_row(HELP["trust_pickle"])
+    camera_translation: str = choice("cm", ("mm", "m"), "UNIT")
+    camera_reading: str = choice("to-camera", ("to-body",), "WAY")
+    corner_noise: str = choice("lab", ("depth",), "KIND")
+    trust_pickle: bool = switch_row()
     exclude_truth: tuple[str, ...] = exclude_truth_row()
-    keep_truth: bool = keep_truth_row()
-    relations: str | None = file_row(HELP["relations"])
-    no_odometry: bool = switch_row(HELP["no_odometry"])
+    keep_truth: bool = switch_row()
+    relations: str | None = file_row()
+    no_odometry: bool = switch_row()
 
 
 @dataclass(frozen=True)
 class Study:
     """How much is simulated."""
 
-    runs: int | None = flag.row(None, NOT_NEGATIVE, "N", HELP["runs"])
-    seed: int = flag.row(0, NOT_NEGATIVE, "N", HELP["seed"])
-    twins: int | None = flag.row(None, NOT_NEGATIVE, "N", HELP["twins"], bare=str(TWINS))
-    full: bool = switch_row(HELP["full"])
+    runs: int | None = flag.row(None, NOT_NEGATIVE, "N")
+    seed: int = flag.row(0, NOT_NEGATIVE, "N")
+    twins: int | None = flag.row(None, NOT_NEGATIVE, "N", bare=str(TWINS))
+    full: bool = switch_row()
 
 
 @dataclass(frozen=True)
 class Output:
     """Files, tables and figures of the report."""
 
-    quick: bool = switch_row(HELP["quick"])
-    out: Path = flag.free_row(Path("results/report"), flag.folder, "DIR", HELP["out"])
-    formats: tuple[str, ...] = flag.free_row(FORMATS, flag.names(KNOWN_FORMATS), "LIST", HELP["formats"])
-    columns: tuple[str, ...] = flag.free_row((), flag.names(), "LIST", HELP["columns"])
-    table_width: str = choice("page", ("column",), "WIDTH", HELP["table_width"], flag.free_row)
-    figures: tuple[str, ...] = flag.free_row((), flag.names(KINDS), "LIST", HELP["figures"])
-    show: tuple[str, ...] = flag.free_row((), flag.names(), "LIST", HELP["show"])
-    write_up: bool = free_switch(HELP["write_up"])
-    lab_text: bool = free_switch(HELP["lab_text"])
-    no_plots: bool = free_switch(HELP["no_plots"])
-    open: bool = free_switch(HELP["open"])
-    ellipses: str = choice("1", FACTORS[1:], "FACTOR", HELP["ellipses"], flag.free_row)
-    animate: bool = free_switch(HELP["animate"])
-    speed: float | None = flag.free_row(None, flag.positive, "FACTOR", HELP["speed"])
+    quick: bool = switch_row()
+    out: Path = flag.free_row(Path("results/report"), flag.folder, "DIR")
+    formats: tuple[str, ...] = flag.free_row(FORMATS, flag.names(KNOWN_FORMATS), "LIST")
+    columns: tuple[str, ...] = flag.free_row((), flag.names(), "LIST")
+    table_width: str = choice("page", ("column",), "WIDTH", flag.free_row)
+    figures: tuple[str, ...] = flag.free_row((), flag.names(KINDS), "LIST")
+    show: tuple[str, ...] = flag.free_row((), flag.names(), "LIST")
+    write_up: bool = free_switch()
+    lab_text: bool = free_switch()
+    no_plots: bool = free_switch()
+    open: bool = free_switch()
+    ellipses: str = choice("1", FACTORS[1:], "FACTOR", flag.free_row)
+    animate: bool = free_switch()
+    speed: float | None = flag.free_row(None, flag.positive, "FACTOR")
 
     @property
     def kept(self) -> Path:
@@ -191,24 +187,22 @@ class Output:
 class Drawing:
     """Figures for a paper: with any of these flags also as PDF, with their data (CSV)."""
 
-    no_titles: bool = free_switch(HELP["no_titles"])
-    figure_width: str | None = flag.free_row(None, width, "LENGTH", HELP["figure_width"])
-    font: str | None = flag.free_row(None, flag.text("a font's name"), "NAME", HELP["font"])
-    font_size: float = flag.free_row(8.0, points, "PT", HELP["font_size"])
-    usetex: bool = free_switch(HELP["usetex"])
-    pgf: bool = free_switch(HELP["pgf"])
+    no_titles: bool = free_switch()
+    figure_width: str | None = flag.free_row(None, width, "LENGTH")
+    font: str | None = flag.free_row(None, flag.text("a font's name"), "NAME")
+    font_size: float = flag.free_row(8.0, points, "PT")
+    usetex: bool = free_switch()
+    pgf: bool = free_switch()
 
 
 @dataclass(frozen=True)
 class Execution:
     """Processes and messages."""
 
-    jobs: int = flag.free_row(1, flag.whole(1, "at least one process is needed"), "N", HELP["jobs"])
-    scheduler: str | None = flag.free_row(
-        None, flag.text("an address, as in tcp://host:8786,"), "ADDRESS", HELP["scheduler"]
-    )
-    quiet: bool = free_switch(HELP["quiet"], short="-q")
-    verbose: bool = free_switch(HELP["verbose"], short="-v")
+    jobs: int = flag.free_row(1, flag.whole(1, "at least one process is needed"), "N")
+    scheduler: str | None = flag.free_row(None, flag.text("an address, as in tcp://host:8786,"), "ADDRESS")
+    quiet: bool = free_switch(short="-q")
+    verbose: bool = free_switch(short="-v")
 
 
 @dataclass(frozen=True)
@@ -225,7 +219,7 @@ class Options:
     output: Output = Output()
     drawing: Drawing = Drawing()
     execution: Execution = Execution()
-    config: tuple[str, ...] = several("FILE", HELP["config"], numbers=False)
+    config: tuple[str, ...] = several("FILE", numbers=False)
 
 
 ABOUT = {
@@ -277,10 +271,10 @@ def parser(prog: str = PROG, positional: str = "log") -> Command:
 def add_flags(p: argparse._ActionsContainer, wanted: Iterable[flag.Flag]) -> None:
     """Add rows of a table to a parser as flags."""
     for each in wanted:
-        kind: dict[str, object] = {"action": "append" if each.repeatable else "store", "metavar": each.metavar}
+        kind: dict[str, Any] = {"action": "append" if each.repeatable else "store", "metavar": each.metavar}
         if not each.metavar:
             kind = {"action": "store_const", "const": not each.default}
         elif each.bare:
             kind = {"nargs": "?", "const": each.bare, "metavar": each.metavar}
         spelled = [each.short, each.option] if each.short else [each.option]
-        p.add_argument(*spelled, dest=each.name, default=argparse.SUPPRESS, help=each.help, **kind)  # type: ignore[arg-type]
+        p.add_argument(*spelled, dest=each.name, default=argparse.SUPPRESS, help=each.help or HELP[each.name], **kind)

@@ -14,7 +14,7 @@ from data.formats.open_log import write_folder
 from data.logs import open_log
 from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
-from eval.plan.flags.table import LARGEST, SMALLEST, TYPE, Options, inches, parser, points, width
+from eval.plan.flags.table import HELP, LARGEST, SMALLEST, TYPE, Options, inches, parser, points, width
 from eval.plan.provenance import command_of
 from eval.replay.flag import names, rows
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, TASKS, Setup
@@ -209,8 +209,7 @@ def test_a_file_is_spelled_out_and_takes_every_row_of_the_table(tmp_path):
 def test_every_row_is_explained_with_an_example_and_its_default():
     text = "".join(parser().format_help().split())
     for row in rows(Options).values():
-        assert row.help, row.name
-        assert "".join(row.help.split()) in text, row.name
+        assert "".join(HELP[row.name].split()) in text, row.name
     assert rows(Setup).keys() < rows(Options).keys()
     examples = shown_help("run", "--help-all").split("examples:")[1]
     for action in parser()._actions:
@@ -219,7 +218,7 @@ def test_every_row_is_explained_with_an_example_and_its_default():
     given = read_options([])
     said = {}
     for row in rows(Options).values():
-        if found := re.search(r"\(default: (\d+(?:\.\d+)?)(?: [a-z]+)?\)", row.help):
+        if found := re.search(r"\(default: (\d+(?:\.\d+)?)(?: [a-z]+)?\)", HELP[row.name]):
             said[row.name] = float(found.group(1))
     assert {"font_size"} <= said.keys()
     assert {name: rows(Options)[name].of(given) for name in said} == said
