@@ -8,7 +8,7 @@ from data.command import Command
 from data.errors import UsageError
 from data.terminal import counted, ending
 from eval.plan.flags import texts_of
-from eval.plan.flags.table import Scoring, add_flags
+from eval.plan.flags.table import HELP, Scoring, add_flags
 from eval.replay.flag import read_values, rows
 
 PROG = "python -m eval.score"
@@ -18,10 +18,8 @@ PROG = "python -m eval.score"
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
     parser = Command(prog, PROG, *texts_of("score"))
-    text = "ESTIMATE TRUTH, or estimates alone with --truth, or a table with both (x_est, x_gt)"
-    parser.add_argument("files", metavar="FILE", nargs="+", help=text)
-    truth = "one truth for all estimates, or one for each, in order"
-    parser.add_argument("--truth", metavar="FILE", nargs="+", default=[], help=truth)
+    parser.add_argument("files", metavar="FILE", nargs="+", help=HELP["score_files"])
+    parser.add_argument("--truth", metavar="FILE", nargs="+", default=[], help=HELP["score_truth"])
     add_flags(parser, rows(Scoring).values())
     given = vars(parser.read(argv))
     from data.formats.results.reading import holds_both

@@ -9,6 +9,7 @@ from pathlib import Path
 from data.command import Command, count
 from data.terminal import ending
 from eval.plan.flags import texts_of
+from eval.plan.flags.table import HELP
 
 PROG = "slamref audit"
 
@@ -22,14 +23,10 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     how.add_argument("--optimize", action="store_true", help="optimize first (default for a file)")
     how.add_argument("--as-given", action="store_true", help="take the values as they are (default for a function)")
     parser.add_argument("--out", metavar="DIR", type=Path, help="folder for tables and report.html")
-    text = "what the noise of text states (ODOMETRY, EDGE2 in rows; default: as the numbers suggest)"
-    parser.add_argument("--noise", choices=("information", "covariance", "root"), help=text)
-    cure = "write the graph with variance components applied and rejected factors left out; examine it, too"
-    parser.add_argument("--rescale", metavar="FILE", type=Path, help=cure)
-    kept = "what becomes of them in FILE: leave-out (default), or robust: kept, with the weight of Cauchy's loss"
-    parser.add_argument("--rejected", choices=("leave-out", "robust"), default="leave-out", help=kept)
-    text = "steps of the search for wrong factors, at most (default: 30; 0: only which are rejected, soon)"
-    parser.add_argument("--steps", metavar="N", type=count, default=30, help=text)
+    parser.add_argument("--noise", choices=("information", "covariance", "root"), help=HELP["audit_noise"])
+    parser.add_argument("--rescale", metavar="FILE", type=Path, help=HELP["audit_rescale"])
+    parser.add_argument("--rejected", choices=("leave-out", "robust"), default="leave-out", help=HELP["audit_rejected"])
+    parser.add_argument("--steps", metavar="N", type=count, default=30, help=HELP["audit_steps"])
     parser.add_argument("--draws", metavar="N", type=count, default=200, help="draws of the graph (default: 200)")
     parser.add_argument("--seed", metavar="S", type=count, default=0, help="random seed (default: 0)")
     return _audit(parser.read(argv), prog)

@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, TextIO
 from data.command import Parser, count
 from data.errors import UsageError
 from data.terminal import ending
+from eval.plan.flags import texts_of
+from eval.plan.flags.table import HELP
 
 if TYPE_CHECKING:
     from wings.robot.link import Clock
@@ -24,12 +26,6 @@ if TYPE_CHECKING:
 
 TRUTH_PERIOD = 0.05  # s of robot time between rows of the truth
 LONGEST_WAIT = 0.05  # s of real time to wait for a byte before the robot moves on
-EXAMPLE = """\
-example:
-  python -m data.robot.simulate --world walls:0 --link /tmp/robot &
-  python -m data.robot.simulate --world walls:0 --link /tmp/robot --lidar &
-  python -m data.robot.simulate --world walls:3 --link /tmp/robot --drop 0.01 --flip 0.001 --stall 5 --truth path.csv
-"""
 
 
 class Terminal:
@@ -98,26 +94,19 @@ def run(wire: Wire, terminal: Terminal, clock: Clock, truth: TextIO | None = Non
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    about = "Run a small robot on a pseudo-terminal until interrupted. It stops 1 s after the last command."
-    top = Parser(prog="python -m data.robot.simulate", description=about, epilog=EXAMPLE)
-    text = "room walls:SEED (default: walls:0), or building floorplan:SEED"
-    top.add_argument("--world", default="walls:0", metavar="NAME:SEED", help=text)
-    text = "symbolic link to the terminal; exists once the robot is ready"
-    top.add_argument("--link", type=Path, required=True, metavar="PATH", help=text)
+    about, examples = texts_of("simulate")
+    top = Parser(prog="python -m data.robot.simulate", description=about, epilog=examples)
+    top.add_argument("--world", default="walls:0", metavar="NAME:SEED", help=HELP["simulate_world"])
+    top.add_argument("--link", type=Path, required=True, metavar="PATH", help=HELP["simulate_link"])
     share = _number(0.0, 1.0)
     top.add_argument("--drop", type=share, default=0.0, metavar="P", help="probability that a byte is lost")
     top.add_argument("--flip", type=share, default=0.0, metavar="P", help="probability that a byte has a flipped bit")
-    text = "length of a stall of one direction, about once a minute: answers are late, commands are lost"
-    top.add_argument("--stall", type=_number(0.0, 3600.0), default=0.0, metavar="SECONDS", help=text)
-    text = "robot seconds per second (default: 1)"
-    top.add_argument("--speed", type=_number(0.01, 1000.0), default=1.0, metavar="X", help=text)
+    top.add_argument("--stall", type=_number(0.0, 3600.0), default=0.0, metavar="SECONDS", help=HELP["simulate_stall"])
+    top.add_argument("--speed", type=_number(0.01, 1000.0), default=1.0, metavar="X", help=HELP["simulate_speed"])
     top.add_argument("--framed", action="store_true", help="packets between a marker and a checksum, both ways")
-    text = "with a lidar: 360 beams up to 8 m, sigma 0.01 m, 1 %% without a return; frames at 115200 baud"
-    top.add_argument("--lidar", action="store_true", help=text)
-    text = "seed of slip, sonars, lidar and faults (default: 0)"
-    top.add_argument("--seed", type=count, default=0, metavar="N", help=text)
-    text = "CSV file for the true path: t,x,y,theta, 20 rows per second"
-    top.add_argument("--truth", type=Path, metavar="FILE", help=text)
+    top.add_argument("--lidar", action="store_true", help=HELP["simulate_lidar"])
+    top.add_argument("--seed", type=count, default=0, metavar="N", help=HELP["simulate_seed"])
+    top.add_argument("--truth", type=Path, metavar="FILE", help=HELP["simulate_truth"])
     return top
 
 

@@ -18,7 +18,7 @@ from eval.figures import FIGURES
 from eval.plan.flags import TEXTS
 from eval.replay import flag
 from eval.replay.external.spec import FORM, own_or_foreign
-from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, POSE_GATE, SENSED_GATE, TASKS, Setup
+from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, POSE_GATE, SENSED_GATE, STEPPING, TASKS, Setup
 from eval.studies.shipped import scenarios
 
 FORMATS = ("csv", "md", "tex")
@@ -66,6 +66,7 @@ _NAMES = {
     "estimators": ", ".join(ESTIMATORS), "associations": ", ".join(ASSOCIATIONS), "scenarios": ", ".join(scenarios()),
     "figures": ", ".join(KINDS), "factors": ", ".join(FACTORS), "default": ",".join(DEFAULT_ESTIMATORS), "form": FORM,
     "quick_runs": QUICK_RUNS, "twins": TWINS, "sensed": SENSED_GATE, "poses": POSE_GATE,
+    "stepping": ", ".join(STEPPING),
 }  # fmt: skip
 HELP = {k: v.format(**_NAMES) for k, v in tomllib.loads((TEXTS / "flags.toml").read_text(encoding="utf-8")).items()}
 """Help of each flag by its name."""

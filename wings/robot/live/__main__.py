@@ -17,7 +17,7 @@ from data.terminal import INTERRUPTED, WRONG, ending
 from eval.plan.console import say
 from eval.plan.flags import texts_of
 from eval.plan.flags.options import options_of
-from eval.plan.flags.table import Options, add_flags
+from eval.plan.flags.table import HELP, Options, add_flags
 from eval.replay.flag import rows
 from eval.replay.settings import ASSOCIATIONS, STEPPING, steps
 
@@ -32,10 +32,7 @@ FIT = tuple(name for name in ASSOCIATIONS if name not in UNFIT)
 USUAL_SIGMA = 0.01  # m, standard deviation of a lidar's range, as of the simulated one
 FITTED = ("weighted", "author")  # names of `wings.robot.walls.FITS`
 SHARED = (
-    replace(
-        TABLE["estimator"],
-        help=f"of {', '.join(STEPPING)}, or your own (default: ekf-fej; with --lidar: ekf-fej,isam2)",
-    ),
+    replace(TABLE["estimator"], help=HELP["live_estimator"]),
     replace(
         TABLE["association"],
         metavar="NAME",
@@ -56,12 +53,10 @@ def parser(prog: str = PROG) -> Command:
     add("--link", metavar="DEVICE", type=Path, required=True, help="serial device of the robot")
     add("--out", metavar="LOG", type=Path, required=True, help="folder of the recording; there must be none yet")
     add_flags(p, SHARED)
-    text = "follow the wall on the right (default), drive to unseen places until none is left (with a lidar), or rest"
-    add("--drive", choices=("walls", "explore", "none"), default="walls", help=text)
+    add("--drive", choices=("walls", "explore", "none"), default="walls", help=HELP["live_drive"])
     add("--explore", dest="drive", action="store_const", const="explore", help="the same as --drive explore")
     add("--framed", action="store_true", help="packets with marker and checksum, both ways")
-    text = f"the robot sends scans (framed, 115200 baud), which {SCAN_ESTIMATOR} matches, beside estimators by walls"
-    add("--lidar", action="store_true", help=text)
+    add("--lidar", action="store_true", help=HELP["live_lidar"])
 
     def number(flag: str, metavar: str, least: float, most: float = math.inf, default: float | None = None, *,
                whole: bool = False, help: str) -> None:  # fmt: skip
@@ -78,8 +73,7 @@ def parser(prog: str = PROG) -> Command:
     number("--lidar-sigma", "M", 1e-6, help="standard deviation of its ranges, m (default: 0.01)")
     number("--slip", "M", 0.0, help="of a wheel, m per square root of the distance in m (default: 0.005)")
     number("--sonar-sigma", "M", 1e-6, help="standard deviation of a distance, m (default: 0.005)")
-    text = "of walls: with weights that find outliers (default), or the robot author's weights by range, in one pass"
-    add("--fit", choices=FITTED, default=FITTED[0], help=text)
+    add("--fit", choices=FITTED, default=FITTED[0], help=HELP["live_fit"])
     number("--speed", "X", 0.01, 1000.0, 1.0, help="speed of a simulated robot, robot s per s (default: 1)")
     number("--seconds", "S", 0.0, default=math.inf, help="end after S seconds of the robot's time (default: Ctrl-C)")
     number("--port", "N", 0.0, 65535.0, 0.0, whole=True, help="of the page on this machine (default: a free one)")
