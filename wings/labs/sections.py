@@ -31,7 +31,6 @@ from eval.figures.plane import true_landmarks
 from eval.figures.style import DASHED, NARROW, SOLID, Line, across, colour_of_method, drawing, page_width, save_for_page
 from eval.plan.experiment import Unfinished
 from eval.plan.flags.options import Options
-from eval.plan.flags.table import Output
 from eval.plan.work import Job, work
 from eval.referee.confusion import OUTCOMES
 from eval.referee.consistency import ASTRAY_NEES
@@ -644,17 +643,6 @@ QUESTIONS = (
     Question("blind", "What happens without odometry?", NOT_READ, METHODS, ("paths",)),
     Question("maintenance", "What does map maintenance change?", (CROWDED, TIDIED), LAB, ("maintenance",)),
 )
-HEADS = (
-    "Online. TP to FN: outcomes of the decisions; RMSE: of the position; in 3σ: frames [%] with the position error"
-    " inside 3σ (98.9 expected); landmarks: at the end; state: mean number of state entries; usable: no, if the run is"
-    " implausible, lost, or mean pose NEES is above " f"{ASTRAY_NEES:g}. "
-)  # fmt: skip
-LOST = "A run that this question needs stopped before the end; see Failures."
-NAMES_OF_METHODS = (
-    "Methods by their names on the command line: known: by labels; jcbb-first: the lab's JCBB, keeps the first of"
-    " equally large hypotheses; jcbb: the one with the least joint distance; jcbb-hindsight: revises decisions"
-    " (final: after the last frame)."
-)
 
 
 def hand_in(folder: Path, options: Options, trials: Sequence[Trial], scores: Scores, lost: Unfinished) -> list[Section]:
@@ -681,7 +669,7 @@ def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Un
     repeated, sections = over_seeds([s for s in done.values() if isinstance(s, Seed)]), []
     for n, question in enumerate(QUESTIONS, start=1):
         q = facts.of[question.name]
-        caption = f"Question {n}. {HEADS}{NAMES_OF_METHODS}" if n == 1 else f"Question {n}; columns as in Table 1."
+        caption = paragraph(f"{TEMPLATE}#columns", n=n, nees=ASTRAY_NEES)
         more: dict[str, object] = {"repeated": repeated} if question.name == "jcbb" else {}
         more |= {"measured": done.get("update-time")} if question.name == "maintenance" else {}
         line = paragraph(f"{TEMPLATE}#{question.name}_line", q=q)
@@ -691,18 +679,15 @@ def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Un
             f"**{line}**",
             *(made[kind] for kind in question.pictures if kind in made),
             written_table(_numbers(question, facts), folder, f"lab-question-{n}", caption, output),
-            *(_seeds(folder, repeated, output) if question.name == "jcbb" else ()),
-            LOST if q["lack"] else Folded("In detail", (paragraph(f"{TEMPLATE}#{question.name}", q=q, **more),)),
         ]
+        if repeated is not None and question.name == "jcbb":
+            about = paragraph(f"{TEMPLATE}#seeds", found=repeated)
+            blocks.append(written_table(repeated.table(), folder, "lab-seeds", about, output))
+        text = paragraph(f"{TEMPLATE}#{'lost' if q['lack'] else question.name}", q=q, **more)
+        blocks.append(text if q["lack"] else Folded("In detail", (text,)))
         answer = f"{n}. {question.heading} {line}"
         sections.append(Section(f"Question {n}: {question.heading}", tuple(blocks), facts=q, answer=answer))
     return sections
-
-
-def _seeds(folder: Path, found: OverSeeds | None, output: Output) -> list[Block]:
-    if found is None:
-        return []
-    return [written_table(found.table(), folder, "lab-seeds", paragraph(f"{TEMPLATE}#seeds", found=found), output)]
 
 
 def _numbers(question: Question, facts: Answers) -> pd.DataFrame:

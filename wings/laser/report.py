@@ -33,7 +33,7 @@ from eval.referee.relations import ALL, ROW, relation_rows
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
 from eval.report.page.files import number, stem, written_table
-from eval.report.words import say
+from eval.report.words import paragraph, say
 from wings.laser.scans.constraints import KEPT, LaserRun, Loops
 from wings.laser.scans.occupancy import Grid, occupancy_grid
 from wings.laser.score import mapped, wrong_closures
@@ -268,14 +268,6 @@ GRID = Kind(lambda trial, _: mapped(trial) is not None, _grid, in_quick=True, ma
 LOOPS = Kind(lambda trial, _: len(getattr(mapped(trial), "loops", None) or ()) > 0, _loops, macro="laser#loops")
 
 
-RELATIONS_CAPTION = "errors against the reference relations, mean ± standard deviation."
-RELATIONS_FINE = FinePrint(
-    "Reference relations",
-    "A relation is tied to frames by its *row* in the log, or by its *time* stamp, which in bursts of stamps is another"
-    " frame; *exact*: relations whose frames are sure. Errors are (a⁻¹b)·rel⁻¹.",
-)
-
-
 def laser_sections(
     folder: Path, wanted: Output, trials: Sequence[Trial], published: Sequence[Sequence[Picture]],
     in_lab: bool = False, factor: int | None = 1,
@@ -298,8 +290,9 @@ def _relations(folder: Path, wanted: Output, trial: Trial) -> list[Block]:
     rows = [row for run in trial.runs for row in _relation_rows(run, trial.log)]
     if not rows:
         return []
-    caption = f"{trial.log.name}: {RELATIONS_CAPTION}"
-    return [written_table(pd.DataFrame(rows), folder, stem(trial, "relations"), caption, wanted, fine=RELATIONS_FINE)]
+    caption = f"{trial.log.name}: errors against the reference relations, mean ± standard deviation."
+    fine = FinePrint("Reference relations", paragraph("laser#relations"))
+    return [written_table(pd.DataFrame(rows), folder, stem(trial, "relations"), caption, wanted, fine=fine)]
 
 
 def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
