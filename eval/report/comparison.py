@@ -11,7 +11,7 @@ from eval.referee.consistency import MARKS
 from eval.referee.metrics import OF_DECISIONS, RUN, heads, is_share, metric
 from eval.referee.result_files import Row, is_blank, rows_of, value_of
 from eval.report.page.blocks import Table
-from eval.report.page.files import drop_blank_columns, interval, number
+from eval.report.page.files import HEADS, drop_blank_columns, interval, number
 from eval.report.words import paragraph
 
 NAMES = (*RUN, "status")
@@ -37,16 +37,9 @@ ASSOCIATION: Mapping[str, str] = {
     **heads([m.column for m in OF_DECISIONS if m.column not in ("share_within", "within_m", "majority_agreement")]),
 }
 
-CONSISTENCY: Mapping[str, str] = {
-    **{name: name for name in ("scenario", "task", "estimator", "association", "phase", "quantity")}, "dof": "expected",
-    "mean": "mean", "interval": "95 % interval of the mean", "verdict": "verdict", "runs": "runs",
-    "power_percent": "power against 0.8 P [%]", "diverged": "diverged",
-}  # fmt: skip
+CONSISTENCY: Mapping[str, str] = HEADS["consistency"]
 
-PUBLISHED: Mapping[str, str] = {
-    **{name: name for name in ("scenario", "estimator", "quantity", "ours")}, "se_ours": "± SE",
-    "published": "published", "se_published": "± SE of it", "difference_in_se": "difference [SE]",
-}  # fmt: skip
+PUBLISHED: Mapping[str, str] = HEADS["published"]
 
 OUTLIERS: Mapping[str, str] = {
     "task": "task", "percent": "wrong labels [%]", "estimator": "estimator", **heads(("rmse_position_m",)),

@@ -35,7 +35,7 @@ from eval.referee.metrics import OF_ESTIMATES
 from eval.referee.score import Trial, metrics_row
 from eval.referee.space_scores import CONVENTIONS, ERRORS as NAMED, columns_in_space
 from eval.report.page.blocks import Table
-from eval.report.page.files import drop_blank_columns, stem, written_table
+from eval.report.page.files import HEADS, drop_blank_columns, stem, written_table
 from eval.report.words import paragraph, say
 from eval.studies.montecarlo import Sample, verdicts
 
@@ -230,14 +230,7 @@ def _in_space(trials: Sequence[Trial]) -> Iterator[tuple[Trial, GivenRun, str]]:
     return ((t, r, p) for t in trials for r in t.runs if isinstance(r, GivenRun) for p in r.phases if p in r.space)
 
 
-SPACE_HEADS = {
-    "rmse_position_3d_m": "position RMSE [m]", "rmse_rotation_3d_deg": "rotation RMSE [deg]",
-    "rmse_position_3d_se3_m": "after SE(3) [m]", "rmse_position_3d_yaw_m": "after yaw [m]",
-    "rmse_position_3d_sim3_m": "after Sim(3) [m]", "scale_sim3": "scale", "rpe_10m_3d_m": "over 10 m [m]",
-    "nees_3d_left_invariant": "NEES, left-invariant (expected 6)", "nees_3d_right_invariant": "right-invariant",
-    "nees_3d_decoupled": "decoupled", "nees_3d_position": "position (expected 3)",
-    "nees_3d_rotation": "rotation (expected 3)",
-}  # fmt: skip
+SPACE_HEADS: dict[str, str] = HEADS["space"]
 
 
 def space_tables(folder: Path, output: Output, trial: Trial) -> list[Table]:

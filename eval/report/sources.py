@@ -12,14 +12,10 @@ from eval.referee.result_files import Row, rows_of, value_of
 from eval.referee.score import Scores, Trial
 from eval.replay.settings import FILTERS
 from eval.report.page.blocks import Section
-from eval.report.page.files import drop_blank_columns, interval, stem, written_table
+from eval.report.page.files import HEADS, drop_blank_columns, interval, stem, written_table
 from eval.report.words import of_runs, paragraph, say
 
-HEADS = {
-    "estimator": "estimator", "association": "association", "phase": "phase", "source": "source", "kind": "measures",
-    "count": "in the log", "used": "accepted", "nis_mean": "NIS per dof", "bounds": "95 % bounds of NIS",
-    "verdict": "verdict", "tp": "TP", "tn": "TN", "fp": "FP", "fn": "FN",
-}  # fmt: skip
+COLUMNS: dict[str, str] = HEADS["sources"]
 """Columns of sources.csv (or made here) and their heads."""
 
 
@@ -48,7 +44,7 @@ def source_section(folder: Path, output: Output, trial: Trial, scores: Scores, s
     where = f"{trial.log.name}, {trial.task}"
     bounds = [(value_of(s, "nis_low"), value_of(s, "nis_high")) for s in facts]
     made = [s | {"bounds": interval(*b) if math.isfinite(b[0]) else None} for s, b in zip(facts, bounds, strict=True)]
-    shown = drop_blank_columns(pd.DataFrame(made, dtype=object)[list(HEADS)].rename(columns=HEADS))
+    shown = drop_blank_columns(pd.DataFrame(made, dtype=object)[list(COLUMNS)].rename(columns=COLUMNS))
     asking = of_runs(n for n in said if "source" in n.named)
     words = say("sources#about", sources=main_sources(facts), asking=asking)
     caption = paragraph("sources#caption", where=where, truth=any(s["tp"] is not None for s in facts))

@@ -68,8 +68,9 @@ _NAMES = {
     "quick_runs": QUICK_RUNS, "twins": TWINS, "sensed": SENSED_GATE, "poses": POSE_GATE,
     "stepping": ", ".join(STEPPING),
 }  # fmt: skip
-HELP = {k: v.format(**_NAMES) for k, v in tomllib.loads((TEXTS / "flags.toml").read_text(encoding="utf-8")).items()}
-"""Help of each flag by its name."""
+_TEXTS: dict[str, Any] = tomllib.loads((TEXTS / "flags.toml").read_text(encoding="utf-8"))
+ABOUT, GROUPS = _TEXTS.pop("about"), _TEXTS.pop("groups")
+HELP: dict[str, str] = {name: text.format(**_NAMES) for name, text in _TEXTS.items()}  # of each flag by its name
 
 several = partial(flag.row, (), flag.texts, repeatable=True)  # a flag given once for each of its values
 file_row = partial(flag.row, None, flag.text("a file"), "FILE")
@@ -223,18 +224,6 @@ class Options:
     config: tuple[str, ...] = several("FILE", numbers=False)
 
 
-ABOUT = {
-    "log": "Run filters and smoothers on identical inputs, score them with one referee,\nand write a report.",
-    "lab": "Do a whole lab and answer its questions at the top of the report.",
-    "scenario": "Simulate a world many times and judge the consistency of each estimator.",
-}
-GROUPS = {
-    "selection": "input, estimators and association", "results": "results of other programs",
-    "setup": "association gates, SLAM and calibration", "opening": "ground truth, camera and laser logs",
-    "study": "Monte Carlo studies and bootstrap replicates", "output": "output", "drawing": "figures for a paper",
-    "execution": "execution", "": "configuration",
-}  # fmt: skip
-"""Titles of `--help-all`, by the part of `Options` that holds the flag."""
 PROG = "python -m eval.run_all"
 
 

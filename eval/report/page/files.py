@@ -3,6 +3,7 @@
 import difflib
 import math
 import re
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -93,13 +94,8 @@ def variants(trial: Trial, trials: Sequence[Trial]) -> tuple[Trial, ...]:
 
 
 FORMATS = ("csv", "md", "tex")
-TITLES = {
-    "comparison": "Errors and consistency", "association": "Association outcomes",
-    "differences": "Filters against smoothers", "consistency": "Consistency over simulated runs",
-    "coverage": "Coverage of the last positions [%]", "relations": "Errors against reference relations",
-    "kinds": "Noise by kind of factor", "worst": "Worst factors",
-    "published": "Ours beside published numbers", "trust": "Consistency without ground truth",
-}  # fmt: skip
+HEADS: dict[str, Any] = tomllib.loads(Path(__file__).with_name("heads.toml").read_text(encoding="utf-8"))
+TITLES: dict[str, str] = HEADS["titles"]
 """Of a LaTeX table, by a part of its name."""
 LONGEST = 80  # characters of the first sentence of a caption that stands in a paper
 
@@ -165,25 +161,8 @@ class Known(NamedTuple):
     rank: float
 
 
-SHORT = {
-    "rmse_position_m": "RMSE [m]", "nees_pose": "NEES", "nis": "NIS", "rmse_heading_deg": "heading [deg]",
-    "rmse_landmark_m": "landmarks [m]", "rms_from_batch_m": "from batch [m]", "inside_3sigma": "inside 3σ [%]",
-    "max_position_m": "largest [m]", "rmse_time_m": "in time [m]", "innovation_lag1": "lag-1",
-    "accepted": "used", "rejected": "left out", "tp": "TP", "fp": "FP", "fn": "FN", "tn": "TN",
-    "precision": "precision [%]", "recall": "recall [%]", "wrong": "wrong", "spurious": "spurious",
-    "duplicate": "duplicate", "missed": "missed", "deferred": "deferred",
-}  # fmt: skip
+SHORT: dict[str, str] = HEADS["short"]
 """Heads in a paper, most wanted first; the fine print says what they mean."""
-OTHERS = {  # by the head of the report's tables
-    "95 % bounds of NIS": Known("bounds", "95 % of NIS", 5.5),
-    "95 % interval of the mean": Known("interval", "95 % interval", 1.0),
-    "power against 0.8 P [%]": Known("power", "power [%]", 5.0), "mean": Known("mean", "mean", 0.0),
-    "expected": Known("dof", "expected", 2.0), "verdict": Known("verdict", "verdict", 1.5),
-    "runs": Known("runs", "runs", 3.0), "diverged": Known("diverged", "diverged", 6.0),
-    "± SE": Known("se_ours", "± SE", 1.0), "± SE of it": Known("se_published", "± SE", 3.0),
-}  # fmt: skip
-
-
 _RANKS = {key: float(i) for i, key in enumerate(SHORT)}
 _METRICS = {m.head: m for m in (*OF_ESTIMATES, *OF_DECISIONS)}
 KNOWN: Mapping[str, Known] = {
@@ -193,7 +172,7 @@ KNOWN: Mapping[str, Known] = {
         _RANKS.get(m.column, len(SHORT)),
     )
     for head, m in _METRICS.items()
-} | OTHERS  # by the head of the report's tables
+} | {head: Known(*row) for head, row in HEADS["others"].items()}  # by the head of the report's tables
 KEYS = tuple(dict.fromkeys(k.key for k in KNOWN.values()))
 
 
@@ -208,10 +187,7 @@ def check_columns(columns: Sequence[str]) -> None:
 
 METHODS = {"none": ""} | {name: method.label for name, method in METHOD_TABLE.items()}
 TASKS = {"slam": "SLAM", "localization": "localization"}
-WORLDS = {
-    "arena": "arena", "corridor": "corridor", "circle": "circle", "linear": "linear world", "park": "park",
-    "visual": "visual lab", "floorplan": "floor plan", "walls": "walls",
-}  # fmt: skip
+WORLDS: dict[str, str] = HEADS["worlds"]
 LOGS = {"victoria-park": "Victoria Park"}
 
 
