@@ -11,17 +11,16 @@ from data.errors import UsageError
 from data.terminal import ending, message_of
 from eval.plan.flags import texts_of
 from eval.plan.flags.options import options_of
-from eval.plan.flags.table import FIRST_FRAMES, Options, add_flags
+from eval.plan.flags.table import FIRST_FRAMES, HELP, Options, add_flags
 from eval.replay.flag import rows
 
 PROG = "python -m eval.play"
 TABLE = rows(Options)
-TASKS = "localization, slam (default: localization where there is a map)"
-LAB_REPORT = "for a log of this lab: take the lab's settings (default: results/report, if it is one)"
 HOW = ("estimator", "association", "gate", "new_gate", "gate_known", "in_view")
 LONG_LOGS = ("maintain", "forget_after", "deactivate_after", "lag", "keyframe_distance")
 TRUTH = ("exclude_truth", "keep_truth")
-SHARED = (replace(TABLE["task"], help=TASKS), *(TABLE[name] for name in ("cooperative", *HOW, *LONG_LOGS, *TRUTH)))
+PLAYED = replace(TABLE["task"], help=HELP["play_task"])
+SHARED = (PLAYED, *(TABLE[name] for name in ("cooperative", *HOW, *LONG_LOGS, *TRUTH)))
 """Flags shared with `slamref run`."""
 
 
@@ -30,7 +29,7 @@ def parser(prog: str = PROG) -> Command:
     p = Command(prog, PROG, *texts_of("play"))
     p.add_argument("log", metavar="LOG", help="as for `slamref run`")
     add_flags(p, SHARED)
-    p.add_argument("--report", metavar="DIR", type=Path, help=LAB_REPORT)
+    p.add_argument("--report", metavar="DIR", type=Path, help=HELP["lab_report"])
     p.add_argument("--frames", metavar="N", help="only the first N frames")
     p.add_argument("--out", metavar="FILE", type=Path, help="the page (default: the log's name with .html)")
     return p

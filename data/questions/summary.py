@@ -85,22 +85,19 @@ def _appearance(log: Log) -> tuple[Appearance, Appearance, float] | None:
 
 def _fixes(log: Log) -> list[tuple[FixSource, FixKind, Fixes, int | None]]:
     """Those of each source and kind, and the number of outliers."""
-    fixes, found = log.recorded.fixes, []
-    if fixes is not None:
-        for (k, source), kind in product(enumerate(fixes.sources), FixKind):
-            rows = np.flatnonzero((fixes.source == k) & (fixes.kind == kind))
-            found.append((source, kind, fixes.only(rows), _outliers(log.truth.fix_inlier, rows)))
-    return [each for each in found if len(each[2])]
+    if (f := log.recorded.fixes) is None:
+        return []
+    pairs = product(enumerate(f.sources), FixKind)
+    each = [(source, kind, np.flatnonzero((f.source == k) & (f.kind == kind))) for (k, source), kind in pairs]
+    return [(s, kind, f.only(rows), _outliers(log.truth.fix_inlier, rows)) for s, kind, rows in each if len(rows)]
 
 
 def _closures(log: Log) -> list[tuple[str, Closures, int | None]]:
     """Those of each source, and the number of outliers."""
-    closures, found = log.recorded.closures, []
-    if closures is not None:
-        for k, name in enumerate(closures.sources):
-            rows = np.flatnonzero(closures.source == k)
-            found.append((name, closures.only(rows), _outliers(log.truth.closure_inlier, rows)))
-    return [each for each in found if len(each[1])]
+    if (c := log.recorded.closures) is None:
+        return []
+    each = [(name, np.flatnonzero(c.source == k)) for k, name in enumerate(c.sources)]
+    return [(name, c.only(rows), _outliers(log.truth.closure_inlier, rows)) for name, rows in each if len(rows)]
 
 
 def _outliers(inlier: IntArray | None, rows: IntArray) -> int | None:

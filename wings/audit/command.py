@@ -33,15 +33,10 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 
 
 SOON = 5.0  # s, until which no stage is told
-STAGES = {
-    "opened": "{factors} factors of {variables} variables; now the optimum",
-    "optimized": "at the optimum, sum of squares {chi2:.4g}; now each factor",
-    "tested": "{rejected} of {factors} factors are rejected by all others; {freedom} degrees of freedom",
-    "searched": "search for wrong factors, step {step} of at most {steps} (--steps); {left} left out",
-}
 
 
 def _audit(options: argparse.Namespace, prog: str) -> int:
+    from eval.report.words import say
     from wings.audit.examined import shown, shown_tables, write_audit
     from wings.audit.page import cured, opened
 
@@ -50,7 +45,7 @@ def _audit(options: argparse.Namespace, prog: str) -> int:
 
     def told(stage: str, **numbers: float) -> None:  # of a graph that takes long
         if (passed := time.monotonic() - began) > SOON:
-            sys.stderr.write(f"{passed:5.0f} s: {STAGES[stage].format(**numbers)}\n")
+            sys.stderr.write(f"{passed:5.0f} s: {say(f'audit#{stage}', **numbers)}\n")
             sys.stderr.flush()
 
     found = opened(

@@ -33,7 +33,7 @@ from eval.referee.relations import ALL, ROW, relation_rows
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
 from eval.report.page.files import number, stem, written_table
-from eval.report.words import paragraph, say
+from eval.report.words import paragraph, say, template_text
 from wings.laser.scans.constraints import KEPT, LaserRun, Loops
 from wings.laser.scans.occupancy import Grid, occupancy_grid
 from wings.laser.score import mapped, wrong_closures
@@ -163,15 +163,6 @@ FREE_PIXEL, OCCUPIED_PIXEL, UNKNOWN_PIXEL = 254, 0, 205  # as map_saver writes t
 OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.35
 """Probabilities by which a cell is called occupied or free: map_saver's for the one, and as sure for the other, which
 one beam more that crossed than ended here is not."""
-YAML = """\
-image: {image}
-mode: trinary
-resolution: {resolution!r}
-origin: [{x!r}, {y!r}, 0.0]
-negate: 0
-occupied_thresh: 0.65
-free_thresh: 0.196
-"""
 
 
 def pixels(grid: Grid) -> NDArray[np.uint8]:
@@ -190,7 +181,8 @@ def write_map(grid: Grid, folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     picture.write_bytes(f"P5\n{rows.shape[1]} {rows.shape[0]}\n255\n".encode("ascii") + rows.tobytes())
     x, y = (float(each) for each in grid.origin)
-    text.write_text(YAML.format(image=picture.name, resolution=float(grid.resolution), x=x, y=y), encoding="utf-8")
+    about = template_text("map.yaml").format(image=picture.name, resolution=float(grid.resolution), x=x, y=y)
+    text.write_text(about, encoding="utf-8")
     return [picture, text]
 
 

@@ -14,7 +14,7 @@ from data.errors import UsageError
 from data.terminal import ending
 from eval.plan.flags import texts_of
 from eval.plan.flags.options import options_of
-from eval.plan.flags.table import FIRST_FRAMES, Options, add_flags
+from eval.plan.flags.table import FIRST_FRAMES, HELP, Options, add_flags
 from eval.replay.flag import rows
 from eval.replay.settings import ASSOCIATIONS, STEPPING, steps
 
@@ -23,13 +23,11 @@ if TYPE_CHECKING:
 
 PROG = "python -m eval.step"
 TABLE = rows(Options)
-TASKS = "localization or slam (default: localization where there is a map)"
-LAB_REPORT = "for a log of this lab: take the lab's settings (default: results/report, if it is one)"
 SHARED = (
     replace(TABLE["log"], help="open log folder, victoria-park, arena:SEED or corridor:SEED[:KEYS]"),
     replace(TABLE["association"], metavar="NAME", help=f"of {', '.join(ASSOCIATIONS)}, or your own (default: jcbb)"),
     replace(TABLE["estimator"], metavar="NAME", help=f"of {', '.join(STEPPING)}, or your own (default: ekf)"),
-    replace(TABLE["task"], metavar="NAME", help=TASKS),
+    replace(TABLE["task"], metavar="NAME", help=HELP["step_task"]),
     *(TABLE[name] for name in ("gate", "new_gate", "gate_known", "gate_poses", "in_view", "maintain")),
     *(TABLE[name] for name in ("exclude_truth", "keep_truth")),
 )  # Flags shared with `slamref run`
@@ -42,7 +40,7 @@ def parser(prog: str = PROG) -> Command:
     p.add_argument("words", nargs="*", metavar="LOG", help="the same as --log")
     add_flags(p, SHARED)
     add = p.add_argument
-    add("--report", metavar="DIR", type=Path, help=LAB_REPORT)
+    add("--report", metavar="DIR", type=Path, help=HELP["lab_report"])
     add("--save", metavar="DIR", type=Path, help="write figures and text of all steps to DIR")
     add("--run-through", action="store_true", help="do not pause (never without a terminal)")
     add("--frames", metavar="N", help="only the first N frames")
