@@ -12,7 +12,6 @@ from typing import ClassVar
 import numpy as np
 
 from data import se2
-from data.errors import UsageError
 from data.inputs import CLUTTER, Inputs, IntArray, LandmarkMap, Observations
 from data.log import Log
 from data.se2 import Array
@@ -45,7 +44,7 @@ class Arena(parameters.Imperfect):
     field_of_view: float = told(2.0 * math.pi, "rad, full opening angle")
     prior_sigma: float = told(0.1, "m")
     prior_sigma_heading: float = told(0.03, "rad; the prior mean is drawn with them")
-    detection: float = told(1.0, "probability that a landmark in view is reported")
+    detection: float = told(1.0, "probability that a landmark in view is reported", most="probability")
     clutter: float = told(0.0, "mean number of false alarms per frame (Poisson), uniform over the field of view")
     sigma_map: float = told(
         0.0, "m, error of the map in x and y of each landmark, which the map states; 0: it is exact"
@@ -61,8 +60,6 @@ class Arena(parameters.Imperfect):
     def __post_init__(self) -> None:
         world = type(self).__name__.lower()
         parameters.check_parameters(world, self, positive=self.positive, signed=self.signed, choices=self.choices)
-        if not self.detection <= 1.0:
-            raise UsageError(f"{world}: detection = {self.detection}; a probability is needed")
 
     def model(self) -> Sensor:
         """The sensor with its field of view."""

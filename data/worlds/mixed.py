@@ -11,7 +11,6 @@ from typing import ClassVar
 import numpy as np
 
 from data import se2
-from data.errors import UsageError
 from data.inputs import IntArray
 from data.log import Log
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource
@@ -44,17 +43,14 @@ class Mixed(Arena):
     sigma_closure_heading: float = told(0.01, "rad, noise of a closure")
     jumps: bool = told(False, "some GPS fixes are metres off")
     false_closures: bool = told(False, "some closures take frames for near each other that are not")
-    outliers: float = told(0.05, "share of fixes that jump and of closures that are false, at least one of each")
+    outliers: float = told(
+        0.05, "share of fixes that jump and of closures that are false, at least one of each", most="share"
+    )
 
     positive: ClassVar[tuple[str, ...]] = (
         *Arena.positive, *("sigma_gps", "sigma_compass", "sigma_closure", "sigma_closure_heading", "closure_radius"),
     )  # fmt: skip
     signed: ClassVar[tuple[str, ...]] = (*Arena.signed, "lever_x", "lever_y", "mount_compass")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.outliers <= 1.0:
-            raise UsageError(f"mixed: outliers = {self.outliers}; a share is needed")
 
 
 def simulate(mixed: Mixed, seed: int, name: str | None = None) -> Log:

@@ -61,6 +61,8 @@ def check_parameters(
             raise UsageError(f"{where}; {'at least 1' if whole else 'a positive number'} is needed")
         if value < 0 and f.name not in signed and (not erring or f.name == "drift"):
             raise UsageError(f"{where}; must not be negative")
+        if value > 1 and "most" in f.metadata:
+            raise UsageError(f"{where}; a {f.metadata['most']} is needed")
         if erring and f.name in RELATIVE and not abs(value) <= LARGEST:
             right = f"an error from -{LARGEST} to {LARGEST} is needed, 0 is none (a factor of 0.9 is -0.1)"
             raise UsageError(f"{where}; {right}")
@@ -73,7 +75,7 @@ def check_parameters(
 
 
 def told(value: Any, help: str, **more: str) -> Any:
-    """A parameter with its default, and its text for `--help`."""
+    """A parameter with its default, and its text for `--help`; `most`: what it is called that is at most 1."""
     return field(default=value, metadata={"help": help, **more})
 
 

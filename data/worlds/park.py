@@ -45,7 +45,7 @@ class Park(Imperfect):
     min_range: float = told(0.0, "m; nothing nearer or farther is reported")
     max_range: float = told(18.0, "m; nothing nearer or farther is reported")
     field_of_view: float = told(180.0, "deg, full opening angle")
-    detection: float = told(0.9, "probability that a tree in view is reported")
+    detection: float = told(0.9, "probability that a tree in view is reported", most="probability")
     prior_sigma: float = told(0.1, "m")
     prior_sigma_heading: float = told(0.02, "rad; the prior mean is drawn with them")
 
@@ -55,8 +55,6 @@ class Park(Imperfect):
         check_parameters("park", self, positive=(*layout, "sigma_v", "sigma_omega", *sensing))
         if self.block < 20:
             raise UsageError(f"park: block = {self.block}; at least 20 is needed, or the turns do not fit")
-        if self.detection > 1.0:
-            raise UsageError(f"park: detection = {self.detection}; a probability is needed")
 
     @property
     def side(self) -> float:

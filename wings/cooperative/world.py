@@ -25,7 +25,7 @@ class Team(Arena):
     robots: int = told(5, "their number")
     robot: int = told(1, "whose log it is, from 1")
     exchange: str = told("joint", "how they share estimates: joint, naive, intersection or alone")
-    encounter: float = told(1.0, "probability that a robot in view is reported")
+    encounter: float = told(1.0, "probability that a robot in view is reported", most="probability")
 
     positive: ClassVar[tuple[str, ...]] = (*Arena.positive, "robots", "robot")
     choices: ClassVar[Mapping[str, tuple[str, ...]]] = {**Arena.choices, "exchange": EXCHANGES}
@@ -36,8 +36,6 @@ class Team(Arena):
             if f.name in self.alone and getattr(self, f.name) != f.default:
                 raise UsageError(f"team: {f.name} is of the arena with one robot, arena:0:{f.name}={f.default}")
         super().__post_init__()
-        if not self.encounter <= 1.0:
-            raise UsageError(f"team: encounter = {self.encounter}; a probability is needed")
         if self.robot > self.robots:
             raise UsageError(f"team: robot = {self.robot}; there are {self.robots}")
 

@@ -558,7 +558,7 @@ class Floorplan:
     sigma_along: float = told(0.02, "m per sqrt(s), odometry noise density along the motion")
     sigma_across: float = told(0.007, "m per sqrt(s), the same across the motion")
     sigma_turn: float = told(0.02, "rad per sqrt(s), the same of the heading")
-    slip: float = told(0.01, "probability that the wheels slip in a frame")
+    slip: float = told(0.01, "probability that the wheels slip in a frame", most="share of 1")
     beams: int = told(180, "in a scan")
     field_of_view: float = in_degrees(180.0, "deg, from the first beam to one after the last")
     max_range: float = told(30.0, "m; longer ranges are no return")
@@ -566,7 +566,7 @@ class Floorplan:
     rotation: float = in_degrees(0.0, "deg, of the scanner: p_scanner = R p_body + T")
     translation_x: float = told(0.0, "m, T")
     translation_y: float = told(0.0, "m, T")
-    panes: float = told(0.15, "share of the walls that is of glass, where there is glass")
+    panes: float = told(0.15, "share of the walls that is of glass, where there is glass", most="share of 1")
     crowd: int = told(15, "number of people, where there are people")
     prior_sigma: float = told(0.0, "m")
     prior_sigma_heading: float = told(0.0, "rad; the prior mean is drawn with them (0: it is exact)")
@@ -575,9 +575,6 @@ class Floorplan:
         scans = ("beams", "field_of_view", "max_range", "sigma_range")
         positive = ("frames", "period", "thin", "speed", "turn_rate", *scans)
         check_parameters("floorplan", self, positive=positive, signed=("rotation", "translation_x", "translation_y"))
-        for name in ("slip", "panes"):
-            if getattr(self, name) > 1.0:
-                raise UsageError(f"floorplan: {name} = {getattr(self, name)}; a share of 1 is needed")
         if self.field_of_view > 2.0 * math.pi + 1e-12:
             raise UsageError(f"floorplan: field_of_view = {math.degrees(self.field_of_view):g}; at most 360 deg")
 
