@@ -96,10 +96,8 @@ def predict_with_errors(mean: Array, P: Array, d: int, motion: Array, M: Array, 
         if ended > 0.0:
             decay, fresh = forgotten(ended, errors.drift[1])
             mean[a] *= decay
-            for j in range(d):
-                P[a, j] *= decay
-            for j in range(d):
-                P[j, a] = P[a, j]
+            P[a, :d] *= decay
+            P[:d, a] = P[a, :d]
             P[a, a] = decay * P[a, a] + fresh * errors.drift[0]  # the diagonal entry was scaled once
     every, corrected, A, G = np.zeros(7), np.empty(3), np.empty((3, 7)), np.empty((3, 3))
     for q in range(p):
@@ -122,8 +120,7 @@ def predict_with_errors(mean: Array, P: Array, d: int, motion: Array, M: Array, 
             for q in range(p):
                 P[i, r] += P[i, 3 + q] * D[r, q]
             P[r, i] = P[i, r]
-        for j in range(3, d):
-            P[j, r] = P[r, j]
+        P[3:d, r] = P[r, 3:d]
 
 
 @njit

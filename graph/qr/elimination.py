@@ -222,8 +222,7 @@ def longer(stack: Array, used: int, needed: int) -> Array:
     if needed <= len(stack):
         return stack
     more = np.empty(2 * needed)
-    for i in range(used):
-        more[i] = stack[i]
+    more[:used] = stack[:used]
     return more
 
 

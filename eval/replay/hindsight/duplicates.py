@@ -149,8 +149,7 @@ def _vote(
                     c, s = math.cos(turn), math.sin(turn)
                     mx, my = 0.5 * (x[i, 0] + x[k, 0]), 0.5 * (x[i, 1] + x[k, 1])
                     ux, uy = 0.5 * (y[a, 0] + y[b, 0]), 0.5 * (y[a, 1] + y[b, 1])
-                    for w in range(n):
-                        taken[w] = False
+                    taken[:] = False
                     votes, total = 0, 0.0
                     for t in range(m):
                         vx, vy = x[t, 0] - mx, x[t, 1] - my
@@ -187,8 +186,7 @@ def _vote(
                             continue
                     h = min(h + 1, kept)
                     counts[slot], misfit[slot] = votes, total
-                    for t in range(m):
-                        best[slot, t] = choice[t]
+                    best[slot] = choice
     return best[:h], counts[:h], misfit[:h]
 
 

@@ -226,11 +226,8 @@ def _motions(
 ) -> None:
     """The motion of each step by its pairs, and by its `stated` information (F, 3, 3) where that counts a `share`."""
     L, b, P, x = motions
-    for k in range(len(L)):
-        for r in range(3):
-            b[k, r] = 0.0
-            for c in range(3):
-                L[k, r, c] = stated[k, r, c] / share
+    b[:] = 0.0
+    L[:] = stated / share
     for j in range(len(of)):
         for r in range(3):
             b[of[j], r] += weight[j] * pull[j, r]

@@ -318,9 +318,7 @@ def _packed(every: Sequence[Detections]) -> tuple[IntArray, IntArray, Array]:
 
 @njit
 def _log_sum(terms: Array) -> float:
-    most, total = terms[0], 0.0
-    for term in terms:
-        most = max(most, term)
+    most, total = terms.max(), 0.0
     for term in terms:
         total += exp(term - most)
     return float(most + log(total))

@@ -215,14 +215,12 @@ def _search(
                     for i in range(every):
                         if counts[i] >= least:
                             counts[h] = counts[i]
-                            for s in range(m):
-                                found[h, s] = found[i, s]
+                            found[h] = found[i]
                             h += 1
                 if h == kept:
                     return found[:h], False
                 counts[h] = made[t]
-                for s in range(m):
-                    found[h, s] = choice[s]
+                found[h] = choice
                 h += 1
             t -= 1
             continue
