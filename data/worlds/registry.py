@@ -13,6 +13,7 @@ import argparse
 import importlib
 import math
 import re
+import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import Field, fields
 from pathlib import Path
@@ -102,31 +103,10 @@ def written(f: Field[Any], value: Any) -> str:
     return f"{value:.12g}" if isinstance(value, float) and float(f"{value:.12g}") == value else str(value)
 
 
-SIMULATORS: Mapping[str, World] = {
-    "arena": World(
-        "data.worlds.arena", "Arena", "arena:0 or arena:0:scale=-0.1+curvature=0.02",
-        "a robot among point landmarks whose noise is known, simulated",
-    ),
-    "circle": World(
-        "data.worlds.circle", "Circle", "circle:0", "the circle world of the literature on consistent SLAM, simulated"
-    ),
-    "corridor": World(
-        "data.worlds.corridor", "Corridor", "corridor:0 or corridor:0:people+range=8",
-        "the corridor lab on data association, simulated",
-    ),
-    "linear": World(
-        "data.worlds.linear", "LinearWorld", "linear:0",
-        "a world in which every correct estimator is consistent, simulated",
-    ),
-    "mixed": World(
-        "data.worlds.mixed", "Mixed", "mixed:0 or mixed:0:jumps+false-closures",
-        "the arena with GPS, a compass and loop closures, simulated",
-    ),
-    "park": World(
-        "data.worlds.park", "Park", "park:0 or park:0:frames=8240",
-        "kilometres of paths among trees, simulated: a large log",
-    ),
-} | {name: world for wing in wings() for name, world in wing.worlds.items()}  # fmt: skip
+_OWN = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+SIMULATORS: Mapping[str, World] = {name: World(**texts) for name, texts in _OWN.items()} | {
+    name: world for wing in wings() for name, world in wing.worlds.items()
+}
 
 
 class Named(NamedTuple):
