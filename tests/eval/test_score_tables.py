@@ -198,7 +198,7 @@ def test_a_last_row_that_is_cut_off_is_left_out(scored, tmp_path):
 
 def test_topics_as_columns_of_sparse_rows(scored, tmp_path):
     """A recorder's table of several topics: a row for each message, at the table's stamps."""
-    names = "__time,/ekf/pose/position/x,/ekf/pose/position/y,/mocap/data/x,/mocap/data/y,/imu/angular/x".split(",")
+    names = ["__time", *(f"/ekf/pose/position/{q}" for q in "xy"), "/mocap/data/x", "/mocap/data/y", "/imu/angular/x"]
     rows = [f"{t + 0.01},{x:.9g},{y:.9g},,," for t, (x, y, _) in zip(T, MINE, strict=True)]
     rows += [f"{t},,,{x:.9g},{y:.9g}," for t, (x, y, _) in zip(T, TRUE, strict=True)]
     rows += [f"{t + 0.02},,,,,0.5" for t in T]
