@@ -161,7 +161,8 @@ def columns_of(
     flat = [
         (name, np.shape(value)) for name, value in found.items() if kind_of(value) == "numbers" and np.ndim(value) < 3
     ]
-    along = {max(shape) for name, shape in flat if shape and (name.lower() in STAMP or 1 < min(shape) <= WIDE[0])}
+    states = {max(shape) for _, shape in flat if shape and 1 < min(shape) <= WIDE[0] and max(shape) >= WIDE[1]}
+    along = states | {max(shape, default=0) for name, shape in flat if name.lower() in STAMP}
     columns: Columns = {}
     for name, value in found.items():
         turned = np.ndim(value) == 2 and len(value.T) in along and len(value) not in along

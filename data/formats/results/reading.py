@@ -50,6 +50,7 @@ ANGLES = {"roll": "roll", "pitch": "pitch", **dict.fromkeys(YAW, "yaw")}
 TURNS = {"rad": 1.0, "deg": np.pi / 180.0}
 ALIAS = (
     {"sec": "s", "secs": "s", "seconds": "s", "second": "s", "msec": "ms", "milliseconds": "ms", "usec": "us"}
+    | {"millis": "ms", "millisec": "ms", "micros": "us"}
     | {"µs": "us", "microseconds": "us", "nsec": "ns", "nanoseconds": "ns"}
     | {"degree": "deg", "degrees": "deg", "°": "deg", "radian": "rad", "radians": "rad", "meters": "m", "meter": "m"}
 )
@@ -261,6 +262,8 @@ def role_of(name: str) -> tuple[str, str]:
         unit = unit or words.pop()
     if not words:
         return "", ""
+    if len(words) == 1 and (own := ALIAS.get(words[0], words[0])) in ("ms", "us"):
+        return "t", own
     if len(words) > 1 and words[-1] in SIDES:  # x_est
         words = [words[-1], *words[:-1]]
     last, rest = words[-1], words[:-1]

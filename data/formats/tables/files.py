@@ -88,7 +88,7 @@ class TextTable:
         if len(topics := [topic for topic in topics_in(self.names) if topic.startswith("/")]) > 1:
             return f"topics {', '.join(topics)}, as in {self.path}:{topics[0]}"
         parts = []
-        for rows, names in (self.series() or {0: list(self.names)}).items():
+        for rows, names in (self.series() or {0: [name for name in self.names if name]}).items():
             runs = [list(run) for _, run in groupby(names, key=stem_of)]
             listed = ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 3 else ", ".join(run) for run in runs)
             parts.append(listed + f" ({rows} rows)" * bool(rows))

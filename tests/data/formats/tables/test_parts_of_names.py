@@ -9,6 +9,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from data import se2
 from data.convert.__main__ import main
@@ -46,10 +47,11 @@ def drives(log):
 @pytest.mark.parametrize("names", [
     "Time (s),Speed (m/s),Yaw rate (rad/s),GPS x (m),GPS y (m),True X (m),True Y (m),True Heading (rad)",
     "t,cmd_vel.linear.x,cmd_vel.angular.z,uwb_x,uwb_y,gt_x,gt_y,gt_yaw",
-    "stamp,wheel_speed,wz,fix.x,fix.y,vicon_x,vicon_y,vicon_theta",
+    "stamp,wheel_speed,wz,fix.x,fix.y,vicon_x,vicon_y,vicon_theta", "millis,v,w,gps_x,gps_y,true_x,true_y,phi_true",
 ])  # fmt: skip
 def test_fixes_and_truth_of_one_table_are_told_by_their_names(made, names):
-    rows = ((t, V, OMEGA, f, *p) for t, f, p in zip(TIME, FIXES, POSE, strict=True))
+    stamp = TIME * (1000.0 if names.startswith("millis") else 1.0)
+    rows = ((t, V, OMEGA, f, *p) for t, f, p in zip(stamp, FIXES, POSE, strict=True))
     log, said = made({"robot.csv": csv(names, rows)})
     assert (len(log.recorded.fixes), len(log.recorded.observations.z)) == (COUNT // 4, 0)
     assert log.recorded.fixes.z[1, :2] == pytest.approx(POSE[4, :2], abs=1e-6)
@@ -225,17 +227,22 @@ def test_a_matrix_of_a_row_of_x_and_one_of_y_is_the_map(made):
     assert drives(log)
 
 
-@pytest.mark.parametrize("suffix", ["npz", "pkl"])
+@pytest.mark.parametrize("suffix", ["npz", "mat", "pkl"])
 def test_matrices_are_the_parts_that_their_names_tell(made, suffix):
-    """Commands, a truth and a map; of lists of objects each observation in the row of its element."""
+    """Commands, a truth and a map; an instant in each column, without stamps; of lists of objects each observation in
+    the row of its element.
+    """
     held, listed = io.BytesIO(), [[(j, *z) for j, z in enumerate(zs) if (k + j) % 4] for k, zs in enumerate(POLAR)]
     parts = {"controls": np.tile([V, OMEGA], (COUNT, 1)), "gt_pose": POSE, "landmarks": MAP, "t": TIME}
     if suffix == "npz":
         np.savez(held, **parts, z_range=np.array(POLAR)[:, :, 0], z_bearing=np.array(POLAR)[:, :, 1])
+    elif suffix == "mat":
+        seen = {"z_range": np.array(POLAR)[:, :, 0].T, "z_bearing": np.array(POLAR)[:, :, 1].T}
+        savemat(held, {"u": parts["controls"].T, "x_true": POSE.T, "map": MAP, **seen})
     else:
         pickle.dump(parts | {"seen": listed}, held)
-    log, _ = made({f"a.{suffix}": held.getvalue()})
-    count = 3 * COUNT if suffix == "npz" else sum(map(len, listed))
+    log, _ = made({f"a.{suffix}": held.getvalue()}, *("--period", f"{STEP}s") * (suffix == "mat"))
+    count = 3 * COUNT if suffix != "pkl" else sum(map(len, listed))
     assert drives(log)
     assert (len(log.recorded.observations.z), len(np.unique(log.label))) == (count, 3)
     assert log.recorded.map.xy == pytest.approx(MAP)
