@@ -819,7 +819,8 @@ class Columns:
         """The column, noted with the unit in its name if none is stated; of a `stated` one if that is no SI unit."""
         name, key = file.names[column], f"{role}.{quantity}"
         note = f"{file.path.name}: {quantity} of {role} is read from {name}"
-        unit, dimension, said = words_of(name)[1] * ("+" not in name), QUANTITIES[quantity], not stated
+        unit = (words_of(name)[1] or role_of(name)[1] * (quantity == "t")) * ("+" not in name)
+        dimension, said = QUANTITIES[quantity], not stated
         unit = "ns" if quantity == "t" and name.startswith(("field.", "%time")) else unit  # of rostopic
         if unit and dimension and not {dimension, quantity, *[key] * stated} & set(self.units.given):
             try:
