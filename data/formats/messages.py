@@ -230,6 +230,8 @@ def with_word(lines: list[tuple[int, str]], word: str) -> list[tuple[int, str]]:
         return below
     fields = [re.split(r"\s*[,;\t]\s*|\s+", line.strip()) for _, line in lines] if "=" in word else []
     name, _, value = word.partition("=")
+    if name.isdecimal() and fields and name not in fields[0]:  # of columns without names, by its number
+        return [pair for pair, row in zip(lines, fields, strict=True) if row[int(name) - 1 : int(name)] == [value]]
     if (top := next((k for k, row in enumerate(fields) if name in row), None)) is not None:
         j = fields[top].index(name)
         return [lines[top], *(pair for pair, row in zip(lines, fields, strict=True) if row[j : j + 1] == [value])]

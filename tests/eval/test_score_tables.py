@@ -196,6 +196,28 @@ def test_a_last_row_that_is_cut_off_is_left_out(scored, tmp_path):
         assert f":{len(rows) - 1}: " in scored(cut, text, wrong=True)
 
 
+@pytest.mark.parametrize("dated", [False, True])
+def test_solutions_of_rtklib_are_places_by_their_comment(scored, tmp_path, dated):
+    """Two fields of a stamp; a truth without a height is not scored in space; `FILE:5=1` by the number of a column."""
+    names = "%  GPST                latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)"
+    stamp = [f"2023/07/11 06:04:{k:02d}.000" if dated else f"2270 {100 + k}.000" for k in range(40)]
+    rows = [f"{t} {48 + 1e-5 * k:.9f} {11 + 2e-5 * k:.9f} 520.0 {1 + k % 2} 9 0.1" for k, t in enumerate(stamp)]
+    time = [t if dated else 100 + k for k, t in enumerate(stamp)]
+    title = "time" if dated else "GPS TOW (s)"
+    true = "\n".join([f"{title},Latitude (deg),Longitude (deg),Roll (deg),Pitch (deg),Heading (deg)", *(
+        f"{t},{48 + 1e-5 * k + 9e-6:.9f},{11 + 2e-5 * k:.9f},1,2,60" for k, t in enumerate(time))])  # fmt: skip
+    (tmp_path / "a.pos").write_text("\n".join(["% program : RTKLIB", "% (Q=1:fix,2:float)", names, *rows]) + "\n")
+    (tmp_path / "b.csv").write_text(true + "\n")
+    for file, count in (("a.pos", 40), ("a.pos:Q=1", 20)):
+        found = scored(flags=(f"{tmp_path}/{file}", f"{tmp_path}/b.csv"))
+        assert found["matched"] == count
+        assert found["rmse_position_m"] == pytest.approx(1.0, abs=0.01)
+        assert "rmse_position_3d_m" not in found
+    (tmp_path / "c.csv").write_text("\n".join(f"{k},{k},{k % 3},0,{k % 2}" for k in range(40)) + "\n")
+    columns = ("--columns", "t=1,x=2,y=3,theta=4")
+    assert scored(flags=(f"{tmp_path}/c.csv:5=1", f"{tmp_path}/c.csv", *columns))["matched"] == 20
+
+
 def test_topics_as_columns_of_sparse_rows(scored, tmp_path):
     """A recorder's table of several topics: a row for each message, at the table's stamps."""
     names = ["__time", *(f"/ekf/pose/position/{q}" for q in "xy"), "/mocap/data/x", "/mocap/data/y", "/imu/angular/x"]

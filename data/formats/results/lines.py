@@ -47,6 +47,7 @@ LISTS = (
     ("(q|quat|quaternion|rot|rotation|orientation)s?", POSE[4:]), ("(pose|state)s?", ("x", "y", "theta"), POSE[1:]),
 )  # fmt: skip
 """Last words of names NAME_1, NAME_2, ..., and what as many columns are."""
+RTKLIB = r"%\s+(GPST|UTC|JST)\s+latitude\(deg\)"  # The comment that names the columns of its solutions
 ABOUT_Z = 0.3  # Largest entries about x and y of quaternions of what drives on the ground
 EUROC = ("t", "x", "y", "z", "qw", "qx", "qy", "qz")
 
@@ -113,6 +114,10 @@ def read_text(path: Path) -> Text:
         fields = tuple(f[:-1] if f[-1] == "" else f for f in fields)
     if cut := cut_end(fields, data[-1][0]):
         fields, data = fields[:-1], data[:-1]
+    if titles := next((c.lstrip("% ").split() for _, c in comments if re.match(RTKLIB, c)), None):
+        dated = "/" in fields[0][0]  # else the week, and its seconds
+        fields = tuple((" ".join(row[:2]) if dated else row[1], *row[2:]) for row in fields)
+        fields, data = (("time", *titles[1:]), *fields), [(0, ""), *data]
     header: dict[str, tuple[int, str]] = {}
     for number, comment in comments:
         if comment.startswith("#%"):

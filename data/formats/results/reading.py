@@ -30,7 +30,7 @@ from data.terminal import counted
 # A header is obeyed: order of position and quaternion, units in brackets or at the end of a name, covariances. What it
 # names and is not read is stated; a header without stamp, position or orientation is refused.
 
-STAMPS = frozenset((*STAMP, "sec", "secs", "second", "seconds"))
+STAMPS = frozenset((*STAMP, "sec", "secs", "second", "seconds", "tow"))
 PLACE = frozenset(("p", "pos", "position", "t", "trans", "translation", "transl", "loc", "location"))
 TURN = frozenset(("q", "quat", "quaternion", "rot", "rotation", "orientation", "ori", "att", "attitude"))
 AROUND = frozenset(("pose", "field", "gt", "true", "truth", "groundtruth", "est", "estimate", "estimated", "ref"))
@@ -43,7 +43,8 @@ REFERENCE, ESTIMATED = frozenset(("ref", "reference")), frozenset(("est", "estim
 SIDES = TRUE | {"est", "estimate", "estimated", "hat", "ekf", "ukf", "kf", "pf", "slam", "odom", "ref"}
 """Of these, those that may stand behind a name."""
 NANOSECONDS = frozenset(("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds"))  # Beside seconds, or alone
-GNSS = frozenset(("gps", "gnss", "rtk", "ins", "fix", "geo", "ref"))  # May stand around latitude, longitude, height
+GNSS = frozenset(("gps", "gnss", "rtk", "ins", "fix", "geo", "ref", "ellipsoid", "ellipsoidal"))
+"""Words that may stand around latitude, longitude, height."""
 EARTH = dict.fromkeys(("lat", "latitude"), "lat") | dict.fromkeys(("lon", "lng", "longitude"), "lon")
 EARTH |= dict.fromkeys(("alt", "altitude", "height", "elevation"), "alt")
 ANGLES = {"roll": "roll", "pitch": "pitch", **dict.fromkeys(YAW, "yaw")}
@@ -100,6 +101,7 @@ def header_names(text: Text, manner: Manner) -> Columns | None:
         for separator in separators:
             bare = comment.lstrip("#% ")  # `tx [m]` is one name
             names = lines.split(bare if separator else re.sub(r"\s+(?=[\[(])", "", bare), separator)
+            names = names[names[0].endswith(":") :] if names else names  # "Format: timestamp tx"
             if len(names) < 3 or any(set(n) <= {"."} for n in names):
                 continue
             if {"p", "q"} <= set(names):  # groups of both position and orientation
@@ -268,7 +270,7 @@ def role_of(name: str) -> tuple[str, str]:
         words = [words[-1], *words[:-1]]
     last, rest = words[-1], words[:-1]
     around = set(rest) - AROUND
-    if last in STAMPS and around <= STAMPS:
+    if last in STAMPS and around <= STAMPS | {"gps"}:
         return "t", unit
     if last in ANGLES and around <= TURN | {"euler", "angle"}:
         return ANGLES[last], unit
@@ -378,7 +380,8 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
         notes += ("stamps do not ascend, so its rows are compared one by one, without stamps",)
         value["t"], place = np.arange(len(body.fields), dtype=float), {r: j for r, j in place.items() if r != "t"}
         columns = replace(columns, place=place)
-    if quaternion or "z" in value or "roll" in place or "pitch" in place:
+    flat = "lat" in value and "z" not in value  # angles in space beside latitudes without a height
+    if quaternion or "z" in value or (not flat and ("roll" in place or "pitch" in place)):
         found = replace(_spatial(body, columns, value, manner, notes, unit_of_time), datum=datum)
         return paths.without_headings(found) if absent else found
     kind, stated = f"columns {', '.join(columns.order)}", columns.unit.get("yaw")

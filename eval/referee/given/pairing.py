@@ -17,7 +17,7 @@ import scipy
 
 from data import se2, se3
 from data.errors import DataError
-from data.formats.recordings.ros import Tree, bare
+from data.formats.recordings.ros import TRANSFORMS, Tree, bare
 from data.formats.results import path as paths
 from data.formats.results.path import ROWS, Clock, GivenPath, Spatial, restamped
 from data.formats.results.space import flattened, in_frame, translation_first
@@ -239,7 +239,10 @@ def same_frames(path: GivenPath, truth: GivenPath, align: str) -> tuple[GivenPat
     trees = tuple(t for t in (path.transforms, truth.transforms) if isinstance(t, Tree))
     asked = []
     for of, own, other in (("world", ours.world, theirs.world), ("body", ours.body, theirs.body)):
-        moved = in_frame(path, of, other, trees, still=of == "body" or align != NONE)  # a localizer corrects a world
+        own_tf = of == "world" and truth.space.kind == TRANSFORMS  # of which the estimate would be made, too
+        moved = in_frame(
+            path, of, other, () if own_tf else trees, still=of == "body" or align != NONE
+        )  # a localizer corrects a world
         if moved is not None:
             path = moved
         elif align == NONE or of == "body":
