@@ -24,7 +24,9 @@ def read_lines(path: Path) -> tuple[list[tuple[int, str]], str, str]:
     except UnicodeDecodeError:
         text = content.decode("latin-1")
     if "\0" in text:
-        raise DataError.at(path, "not a text file; a CSV file is needed")
+        raise DataError.at(
+            path, "not a text file; a CSV file is needed, or arrays (of plain binary numbers numpy.save makes a .npy)"
+        )
     rows = numbered_rows(text)
     lines, said = _of_motive(rows) if text.startswith("Format Version") else _tidied(rows)
     return with_word(lines, word), word, said

@@ -25,7 +25,7 @@ from data.csv_table import Table, cut_off, ends_early, is_number
 from data.dates import DATES, DMY, EXAMPLE, MDY, is_date, seconds_of, unit_of, whole_dates
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean, unknown
-from data.formats.arrays import ELEMENT, columns_of, is_arrays, solids
+from data.formats.arrays import ELEMENT, WIDE, columns_of, is_arrays, solids
 from data.formats.messages import LISTED, cut_end, kinds_of, parts_of, read_lines, whole_names
 from data.formats.results.bags import file_and_topic
 from data.formats.results.reading import RATES, REFERENCE, TRUE, role_of, topics_in, words_of
@@ -236,6 +236,8 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
         if len(row) != width:
             last = cut_off(len(row), width, last=line == number[-1])
             ragged = "; is it one observation after the other? a row for each is needed, of points of a scan its ranges"
+            if width > WIDE[1]:
+                ragged = "; of scans as many ranges in each row are needed, blank or 0 where nothing returned"
             several = kinds_of(path, rows) or ragged * (len(set(map(len, rows))) > 2)
             raise DataError.at(path, f"{len(row)} fields where {width} are needed{last or several}", line=line)
     names, rows, number = _lists(names, whole_dates(rows), number)
