@@ -259,8 +259,9 @@ def _listed(name: str, structs: Sequence[Mapping[str, Any]]) -> Columns:
             inside.append(key)
     for key in inside:
         own, rows = f"{name}.{key}".strip("."), len(next(iter(columns.values()), ()))
+        shapes = {np.shape(v) for s in structs if isinstance(v := s[key], np.ndarray) and v.size and v.ndim == 2}
         for k, struct in enumerate(structs):
-            found = _columns_across(own, struct[key], [s[key] for s in structs])
+            found = _columns_across(own, struct[key], shapes)
             count = max(map(len, found.values()), default=0)
             found |= {f"{name}.{one}".strip("."): [repr(float(struct[one].item()))] * count for one in single}
             found[f"{name}.{ELEMENT}".strip(".")] = [str(k)] * count
@@ -270,11 +271,10 @@ def _listed(name: str, structs: Sequence[Mapping[str, Any]]) -> Columns:
     return columns
 
 
-def _columns_across(name: str, value: Any, each: Sequence[Any]) -> Columns:
-    """Those of a matrix whose columns, or whose rows if only these differ in number among `each`, are rows."""
+def _columns_across(name: str, value: Any, shapes: Collection[tuple[int, ...]]) -> Columns:
+    """Those of a matrix whose columns, or whose rows if only these differ in number among `shapes`, are rows."""
     if kind_of(value) != "numbers":
         return _unrolled(name, [value] if isinstance(value, dict) else value)
-    shapes = [np.shape(v) for v in each if isinstance(v, np.ndarray) and v.size and v.ndim == 2]
     low, wide = ({shape[axis] for shape in shapes} for axis in (0, 1))
     same = low if len(low) == 1 else wide
     if value.ndim != 2 or not value.size or min(len(low), len(wide)) > 1 or max(same) > WIDE[0]:

@@ -105,7 +105,7 @@ def read_text(path: Path) -> Text:
     data = [(i, line) for i, line in lines if line and not line.startswith(("#", "%"))]
     if not data:
         raise DataError.at(path, f"no line of data{f' of {word}' * bool(word)}; at least one is needed")
-    separator = next((s for s in (",", ";") if s in data[0][1]), None)
+    separator = next((s for s in (";", ",") if s in data[0][1]), None)  # beside it a comma is of decimals
     data = [(i, re.sub(CELLS, lambda cell: cell[0].replace(",", " ").replace(" sec", ""), line)) for i, line in data]
     commas = separator == ";" and not any("." in line for _, line in data)  # of decimals
     fields = tuple(split(line.replace(",", ".") if commas else line, separator) for _, line in data)
