@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from data.inputs import Inputs
-from data.log import TRUTH_POSE, Log
+from data.log import ODOMETRY_KIND, TRUTH_POSE, Log
 from data.motion.velocity import compose_in_place
 from data.notice import Code, Notice, notice
 from data.questions.examination import contradictions
@@ -60,7 +60,7 @@ def stamps(log: Log) -> list[Notice]:
     unit, blind = "", None
     if gap > SLOW_FRAMES:
         unit = next(name for name, limit in (("ms", 1e4), ("us", 1e7), ("ns", np.inf)) if gap < limit)
-    elif gap >= FAST_FRAMES and inputs.scans is not None:
+    elif gap >= FAST_FRAMES and (inputs.scans is not None or log.source.get(ODOMETRY_KIND) == "none"):
         return []
     elif gap >= FAST_FRAMES:
         # of poses that are interpolated: the slowest of robots, hardly moving and hardly turning

@@ -61,11 +61,11 @@ SPEED, TURN_RATE = 0.3, 0.7  # m/s, rad/s, sigmas of an unknown motion's changes
 BURST = 0.1  # Share of the mean time between frames, and of shorter ones, from which on stamps come in bursts
 
 
-def without_odometry(inputs: Inputs) -> Inputs:
-    """The same log with unknown motion: zero, with the standard deviation of a robot's speed."""
+def without_odometry(inputs: Inputs, speed: float = SPEED) -> Inputs:
+    """The same log with unknown motion: zero, with the standard deviation of a robot's speed [m/s]."""
     count = len(inputs)
     covariance = np.zeros((count, 3, 3))
-    covariance[1:] = np.diag([SPEED**2, SPEED**2, TURN_RATE**2]) * time_steps(inputs.time)[1:, None, None] ** 2
+    covariance[1:] = np.diag([speed**2, speed**2, TURN_RATE**2]) * time_steps(inputs.time)[1:, None, None] ** 2
     return replace(inputs, increments=Increments(np.zeros((count, 3)), covariance), floored=0)
 
 

@@ -421,14 +421,15 @@ def read_log(name: str, wanted: Wanted) -> Recording:
         sensors=sensors if len(sensors) > 1 else (), map=known, time_is_index=not odometry.stamped,
         covariance_floor=FLOOR, floored=floored, fixes=fixes, closures=together(measured), scans=scans,
     )  # fmt: skip
-    inputs = without_odometry(inputs) if wanted.blind else inputs
+    inputs = without_odometry(inputs, wanted.blind) if wanted.blind else inputs
     several = [of.sensor.label for of in wanted.sensors if of.sensor.label]
     files = {role: path.name for role, path in wanted.files.items() if role not in several}
     each = {role: [path] if path.is_dir() else parts_of(path) for role, path in wanted.files.items()}
     digested = {role: [file_and_word(file_and_topic(str(p))[0])[0] for p in some] for role, some in each.items()}
     digest = {role: " ".join(map(file_sha256, some)) for role, some in digested.items()}
     files |= {f"{role}_sha256": digest[role] for role in wanted.files if role not in several}
-    more: dict[str, object] = {ODOMETRY_KIND: "velocities" if odometry.velocities else wanted.kind}
+    moved = "none" if wanted.blind else "velocities" if odometry.velocities else wanted.kind
+    more: dict[str, object] = {ODOMETRY_KIND: moved}
     if several:
         more[SENSOR] = {name: {"file": wanted.files[name].name, "sha256": digest[name]} for name in several}
     if odometry.velocities and len(odometry.time) > 1:

@@ -5,6 +5,7 @@ Without `--sensor` there is one sensor, whose observations are in the file of `-
 all (`--view -30deg,30deg`).
 """
 
+import math
 import re
 import tomllib
 from collections import Counter
@@ -22,7 +23,7 @@ from data.csv_table import is_name
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import is_arrays
 from data.formats.messages import file_and_word
-from data.formats.recordings.laser import TravelNoise
+from data.formats.recordings.laser import SPEED, TravelNoise
 from data.formats.results.reading import words_of
 from data.formats.tables import files as table_files, motion
 from data.formats.tables.files import POSE, ROLES, SCANS, SECOND, STAMPED, STARRED, Columns, Given, TextTable, Units
@@ -258,7 +259,7 @@ class Wanted:
     second: Second | None = None
     scanner: Array | None = None  # (3,) first angle, step [rad] and reach [m] of scans; None: columns state them
     mount: Array | None = None  # (3,) pose of the scanner on the robot
-    blind: bool = False  # without odometry: scans alone tell the motion
+    blind: float = 0.0  # m/s, without odometry: within which the motion is unknown
     assumed: tuple[str, ...] = ()  # quantities of `Origins` that nobody stated
 
 
@@ -347,7 +348,7 @@ def settle(given: Given) -> Wanted:
         columns.take_series(table, role)
     _below_odometry(parts)
     unnamed = _by_layout(parts)
-    blind = "odometry-kind" not in given and _blind(parts)
+    blind, given = _blind(parts, given)
     kind = _kind(given, parts.texts, columns, "odometry", tuple(KINDS))
     _name_observations(parts, given, kind, unnamed)
     for role in (r for r in parts.observing if r in parts.texts):
@@ -472,18 +473,54 @@ def _by_layout(p: _Parts) -> list[str]:
     return unnamed
 
 
-def _blind(p: _Parts) -> bool:
-    """Whether the file of scans has no odometry, in whose place the robot then stands."""
-    if p.texts.get(SCANS) is not p.texts["odometry"]:
-        return False
-    if any(p.columns.quiet.has(p.texts["odometry"], "odometry", measured) for measured in KINDS.values()):
-        return False
+def _blind(p: _Parts, given: Given) -> tuple[float, Given]:
+    """The speed [m/s] within which a robot without odometry moves, 0 with one, and the flags: that of any robot beside
+    scans, that of the fixes beside these. To a speed alone belongs an unknown turn rate.
+    """
+    table, looked = p.texts["odometry"], p.columns.quiet
+    known = any(looked.has(table, "odometry", measured) for measured in KINDS.values())
+    if known or "odometry-kind" in given:
+        return 0.0, given
+    if p.texts.get(SCANS) is table:
+        p.columns.notes.append(f"{p.files[SCANS].name}: no odometry in it: matching of scans alone tells the motion")
+        stamps = {"odometry.t": p.named[key]} if (key := f"{SCANS}.t") in p.named else {}
+        return SPEED, _stand(p, given, stamps)
+    wants, timed = ("t", "x", "y"), looked.find(table, "odometry", "t") is not None
+    if "fixes" not in p.texts or not timed or not looked.has(p.texts["fixes"], "fixes", wants):
+        return 0.0, given
+    at = looked.table(p.texts["fixes"], "fixes", wants, may_be_blank=wants[1:])[0].stack(wants)
+    at = at[np.isfinite(at).all(axis=1)]
+    at = at[
+        np.append(True, (np.diff(at[:, 0]) > 0.0) & np.diff(at[:, 1:], axis=0).any(axis=1))
+    ]  # of held ones the first
+    if len(at) < LEAST_FIXES:
+        return 0.0, given
+    far = at[np.hypot(*(at[:SOON, 1:] - at[0, 1:]).T).argmax(), 1:] - at[0, 1:]
+    start = {"prior": f"{at[0, 1]},{at[0, 2]},{math.atan2(far[1], far[0])}", "prior-sigma": "1,1,45deg"}
+    given = given if "truth" in p.texts or "prior" in given else {**start, **given}
+    if looked.find(table, "odometry", "v") is not None:
+        p.texts["odometry"] = table.beside("no omega", np.zeros(len(table), int))
+        p.columns.given = {**p.columns.given, "odometry.omega": "no omega"}
+        p.infer("no turn rate: unknown, within --odometry-sigma 5cm,45deg")
+        return 0.0, {"odometry-sigma": "5cm,45deg", **given}
+    speed = float(np.quantile(np.hypot(*np.diff(at[:, 1:], axis=0).T) / np.diff(at[:, 0]), FAST))
+    p.infer(f"no odometry: the motion is unknown, within {speed:.3g} m/s, as of nine tenths of the fixes")
+    return speed, _stand(p, given, {})
+
+
+def _stand(p: _Parts, given: Given, stamps: Mapping[str, str]) -> Given:
+    """The flags; in place of an odometry the robot stands at the rows of its table."""
     for q in KINDS["poses"]:
-        p.texts["odometry"] = p.texts["odometry"].beside(q, np.zeros(len(p.texts[SCANS]), int))
-    stamps = {"odometry.t": p.named[key]} if (key := f"{SCANS}.t") in p.named else {}
-    p.columns.given = {**p.columns.given, **{f"odometry.{q}": q for q in KINDS["poses"]}, **stamps}
-    p.columns.notes.append(f"{p.files[SCANS].name}: no odometry in it: matching of scans alone tells the motion")
-    return True
+        p.texts["odometry"] = p.texts["odometry"].beside(f"no {q}", np.zeros(len(p.texts["odometry"]), int))
+    p.columns.given = {**p.columns.given, **{f"odometry.{q}": f"no {q}" for q in KINDS["poses"]}, **stamps}
+    return given
+
+
+LEAST_FIXES, FAST, SOON = (
+    5,
+    0.9,
+    10,
+)  # Fixes that tell a speed, the quantile of it, and those that tell the first heading
 
 
 def _name_observations(p: _Parts, given: Given, kind: str, unnamed: Collection[str]) -> None:

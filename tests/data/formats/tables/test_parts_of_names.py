@@ -209,6 +209,26 @@ def test_an_odometry_that_is_set_to_zero_ends_there(made):
     assert "it was set to zero, and ends there" in said
 
 
+@pytest.mark.parametrize("speed", [False, True])
+def test_fixes_without_an_odometry_move_as_fast_as_they_do(made, speed):
+    """The motion is unknown within nine tenths of their speeds; beside a speed alone the turn rate is."""
+    noise = 0.05 * np.random.default_rng(3).standard_normal((COUNT, 2))
+    rows = ((t, *[V] * speed, *p) for t, p in zip(TIME, POSE[:, :2] + noise, strict=True))
+    names = "time,speed,gps_x,gps_y" if speed else "time,gps_x,gps_y"
+    log, said = made({"a.csv": csv(names, rows)}, "--fix-sigma", "0.05")
+    step, P = log.recorded.increments.mean[1:], log.recorded.increments.covariance[1:]
+    assert len(log.recorded.fixes) == COUNT
+    assert step[:, 0] == pytest.approx(STEP * V * speed)
+    assert not step[:, 1:].any()
+    if speed:
+        assert np.sqrt(P[:, 2, 2]) == pytest.approx(np.radians(45.0) * np.sqrt(STEP), rel=0.01)
+        assert log.recorded.prior.covariance[2, 2] == pytest.approx(np.radians(45.0) ** 2)
+    else:
+        assert V * STEP < np.sqrt(P[0, 0, 0]) < 1.5 * V * STEP
+        assert "no odometry: the motion is unknown" in said
+        assert "ms" not in said
+
+
 def test_labels_are_the_column_that_holds_the_names_of_the_map(made):
     seen, known = SEEN.replace("tag", "node"), KNOWN.replace("tag", "name")
     log, said = made({"odo.csv": MOTION, "seen.csv": seen, "map.csv": known}, *LABELLED[:2], "--map", "map.csv")
