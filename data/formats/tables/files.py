@@ -993,6 +993,14 @@ class Columns:
             values[q] = file.numbers(c, keep, dates) * self.units.factor(role, EARTH[q] if q in earth else q)
             if q == "theta" and (self.units.unit(role, q) or self.units.given.get("angle")) == "compass":  # north is y
                 values[q] += 0.5 * math.pi
+            if (
+                q == "t"
+                and not {"t", "time", f"{role}.t"} & self.units.typed
+                and (of_day := clock(values[q])) is not None
+            ):
+                told = f"inferred: stamps are times of day hhmmss, as {file.text(c, keep)[0]}; now in s"
+                self.notes.append(f"{file.path.name}: {told}")
+                values[q] = of_day
         for q, c in columns.items():
             of = np.where(values[q] > 0.0, values[q], np.nan) if q == "range" else values[q]  # others are left out
             if QUANTITIES[q] not in ("", "time") and q[0] != "s" and (found := unmeasured(of)) is not None:
@@ -1044,6 +1052,15 @@ class Columns:
                 field = file.text(c, keep)[row]
                 raise table.error(row, file.names[c], f"{repr(field) if field else 'blank'}; a number is needed")
         return table, int(empty.sum())
+
+
+def clock(values: Array) -> Array | None:
+    """Seconds of the day of numbers hhmmss.s, whose last second of a minute is 40 to 41 before the next; else None."""
+    step, second, minute = np.diff(values) % 4000.0, values % 100.0, values // 100.0 % 100.0  # 4041 after an hour
+    new = (step > 40.0) & (step < 41.5) & (second[:-1] >= 58.5)
+    whole = np.isfinite(values).all() and (values >= 0.0).all() and (values < 240000.0).all()
+    fine = whole and (second < 60.0).all() and (minute < 60.0).all() and new.any()
+    return np.asarray(3600.0 * (values // 10000.0) + 60.0 * minute + second) if fine else None
 
 
 def unmeasured(values: Array) -> tuple[int, int, bool] | None:

@@ -209,6 +209,14 @@ def test_an_odometry_that_is_set_to_zero_ends_there(made):
     assert "it was set to zero, and ends there" in said
 
 
+def test_stamps_that_are_times_of_day_are_seconds(made):
+    day = np.array([95950 + k if k < 10 else 100000 + k - 10 for k in range(COUNT)])
+    rows = ((t, V, OMEGA, f) for t, f in zip(day, FIXES, strict=True))
+    log, said = made({"a.csv": csv("utc_time,v,omega,gps_x,gps_y", rows)}, "--prior", "0,0,0", "--fix-sigma", "0.1")
+    assert np.ptp(log.recorded.time) == COUNT - 1
+    assert "times of day hhmmss, as 95950" in said
+
+
 @pytest.mark.parametrize("speed", [False, True])
 def test_fixes_without_an_odometry_move_as_fast_as_they_do(made, speed):
     """The motion is unknown within nine tenths of their speeds; beside a speed alone the turn rate is."""
