@@ -158,9 +158,8 @@ def columns_of(
     found = named(path)
     structs = [name for name, value in found.items() if isinstance(value, dict) or
                (isinstance(value, list) and any(key for struct in value for key in struct))]  # fmt: skip
-    flat = [
-        (name, np.shape(value)) for name, value in found.items() if kind_of(value) == "numbers" and np.ndim(value) < 3
-    ]
+    plain = {name: np.shape(value) for name, value in found.items() if kind_of(value) == "numbers"}
+    flat = [(name, shape) for name, shape in plain.items() if len(shape) < 3]
     states = {max(shape) for _, shape in flat if shape and 1 < min(shape) <= WIDE[0] and max(shape) >= WIDE[1]}
     along = states | {max(shape, default=0) for name, shape in flat if name.lower() in STAMP}
     columns: Columns = {}

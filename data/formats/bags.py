@@ -428,11 +428,11 @@ def _numbers(value: Any, name: str) -> dict[str, float]:
             for own, item in parts.items()
         )  # fmt: skip
         return {k: v for some in each for own, item in some.items() for k, v in _numbers(item, own).items()}
-    listed = isinstance(value, list | tuple | np.ndarray) and len(value) <= LISTED
+    listed = isinstance(value, list | tuple | np.ndarray) and len(value) <= MOST_LISTED
     return {k: v for j, item in enumerate(value, 1) for k, v in _numbers(item, f"{name}_{j}").items()} if listed else {}
 
 
-LISTED = 64  # Most entries of a list in a message that are columns
+MOST_LISTED = 64  # Most entries of a list in a message that are columns
 
 
 def odometry_of(path: Path, topics: Sequence[Topic], found: Collected) -> tuple[str, str, Array, Array]:

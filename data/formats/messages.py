@@ -46,12 +46,8 @@ def _tidied(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], str]:
         return _tidied([pair for pair in whole if pair != top[first - 1]])
     wide = [len(row) == len(rows[first]) for row in rows]
     alone = bool(first and re.search(PROSE[mark is None], top[first - 1][1]) and not {*LISTED} & {*rows[first - 1]})
-    alone = (
-        alone
-        and not wide[first - 1]
-        and len(wide) > first + 2
-        and (mark is None or len(rows[first - 1]) < len(rows[first]))
-    )
+    alone = alone and not wide[first - 1] and len(wide) > first + 2
+    alone = alone and (mark is None or len(rows[first - 1]) < len(rows[first]))
     if first < 1 or any(wide[: first - 1]) or not all(wide[first - 1 + alone : first + 2 + alone]):
         return lines, ""
     again, above = {line for _, line in top[:first]}, f"above {'rows without' if alone else 'the'} names"

@@ -92,7 +92,7 @@ def _of_tf(path: Path, tree: Tree, pair: str) -> Spatial:
             continue
         step = float(np.median(np.diff(np.sort(own.stamp)))) if len(own.stamp) > 1 else 0.0
         inside &= (stamp >= min(own.stamp) - step) & (stamp <= max(own.stamp) + step)
-    told = f"{int((~inside).sum())} of {len(stamp)} poses are before or after all that tf tells of its frames: left out"
+    told = f"{int((~inside).sum())} of {len(stamp)} poses are outside the stamps of the transforms they need: left out"
     stamp, R, p = stamp[inside], R[inside], p[inside]
 
     def place(k: int) -> str:

@@ -993,11 +993,8 @@ class Columns:
             values[q] = file.numbers(c, keep, dates) * self.units.factor(role, EARTH[q] if q in earth else q)
             if q == "theta" and (self.units.unit(role, q) or self.units.given.get("angle")) == "compass":  # north is y
                 values[q] += 0.5 * math.pi
-            if (
-                q == "t"
-                and not {"t", "time", f"{role}.t"} & self.units.typed
-                and (of_day := clock(values[q])) is not None
-            ):
+            unstated = q == "t" and not {"t", "time", f"{role}.t"} & self.units.typed
+            if unstated and (of_day := clock(values[q])) is not None:
                 told = f"inferred: stamps are times of day hhmmss, as {file.text(c, keep)[0]}; now in s"
                 self.notes.append(f"{file.path.name}: {told}")
                 values[q] = of_day
@@ -1022,7 +1019,7 @@ class Columns:
                 none = early & bool(leap)
             if none.any():
                 some = f"{counted(int(none.sum()), 'place')} of {role} at 0, 0, far from all others"
-                self.notes.append(f"{file.path.name}: {some}: left out, as of no message yet")
+                self.notes.append(f"{file.path.name}: {some}: left out, as none was measured yet")
                 values |= {q: np.where(none, np.nan, values[q]) for q in ("x", "y")}
         if earth:
             place = np.stack([values["y"], values["x"], 0.0 * values["x"]], axis=-1)

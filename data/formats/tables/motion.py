@@ -230,7 +230,7 @@ def read_odometry(
         leap = step > max(LEAP * float(np.median(step[step > 0.0])), RESET) if step.any() else step > 0.0
         if len(anew := np.flatnonzero(leap & (pose[1:] == pose[0]).all(axis=1))):
             k = int(anew[0]) + 1
-            told = f"its pose leaps back to the first one by {step[k - 1]:.3g} m: it was set to zero, and ends there"
+            told = f"its pose leaps {step[k - 1]:.3g} m back to the first one: it was reset, so the odometry ends there"
             notes.append(f"{file.path.name}: line {table.line[k]}: {told}")
             table, time, pose = table.part(np.arange(k)), time[:k], pose[:k]
             instants[instants > time[-1]] = np.nan

@@ -366,7 +366,7 @@ def settle(given: Given) -> Wanted:
     map_pose, truth_pose = (numbers_of(given, f"{of}-transform") for of in ("map", "truth"))
     return Wanted(
         files=files, texts=texts, columns=columns, kind=kind, wheels=_wheels(given, kind),
-        noise=_noise(given, kind, columns.notes),
+        noise=_noise(given, kind, [] if blind else columns.notes),  # not that of an unknown motion
         model=INTEGRATED[table_files.one_of(given, "integrate", tuple(INTEGRATED))],
         sensors=sensors_of(given, texts, columns, kind),
         prior=FROM_TRUTH if prior == FROM_TRUTH else numbers_of(given, "prior"),
@@ -482,45 +482,43 @@ def _blind(p: _Parts, given: Given) -> tuple[float, Given]:
     if known or "odometry-kind" in given:
         return 0.0, given
     if p.texts.get(SCANS) is table:
-        p.columns.notes.append(f"{p.files[SCANS].name}: no odometry in it: matching of scans alone tells the motion")
+        p.columns.notes.append(f"{p.files[SCANS].name}: no odometry in it: scan matching alone tells the motion")
         stamps = {"odometry.t": p.named[key]} if (key := f"{SCANS}.t") in p.named else {}
-        return SPEED, _stand(p, given, stamps)
+        _stand(p, stamps)
+        return SPEED, given
     wants, timed = ("t", "x", "y"), looked.find(table, "odometry", "t") is not None
     if "fixes" not in p.texts or not timed or not looked.has(p.texts["fixes"], "fixes", wants):
         return 0.0, given
     at = looked.table(p.texts["fixes"], "fixes", wants, may_be_blank=wants[1:])[0].stack(wants)
     at = at[np.isfinite(at).all(axis=1)]
-    at = at[
-        np.append(True, (np.diff(at[:, 0]) > 0.0) & np.diff(at[:, 1:], axis=0).any(axis=1))
-    ]  # of held ones the first
+    moved = (np.diff(at[:, 0]) > 0.0) & np.diff(at[:, 1:], axis=0).any(axis=1)
+    at = at[np.append(True, moved)]  # of held ones the first
     if len(at) < LEAST_FIXES:
         return 0.0, given
     far = at[np.hypot(*(at[:SOON, 1:] - at[0, 1:]).T).argmax(), 1:] - at[0, 1:]
-    start = {"prior": f"{at[0, 1]},{at[0, 2]},{math.atan2(far[1], far[0])}", "prior-sigma": "1,1,45deg"}
-    given = given if "truth" in p.texts or "prior" in given else {**start, **given}
+    if "truth" not in p.texts and "prior" not in given:
+        start = {"prior": f"{at[0, 1]},{at[0, 2]},{math.atan2(far[1], far[0])}", "prior-sigma": "1,1,45deg"}
+        given, p.columns.origins["prior"] = {**start, **given}, Origin.INFERRED
+        p.infer(f"--prior at the first fix, heading for the farthest of {SOON}; --prior-sigma {given['prior-sigma']}")
     if looked.find(table, "odometry", "v") is not None:
         p.texts["odometry"] = table.beside("no omega", np.zeros(len(table), int))
         p.columns.given = {**p.columns.given, "odometry.omega": "no omega"}
         p.infer("no turn rate: unknown, within --odometry-sigma 5cm,45deg")
         return 0.0, {"odometry-sigma": "5cm,45deg", **given}
     speed = float(np.quantile(np.hypot(*np.diff(at[:, 1:], axis=0).T) / np.diff(at[:, 0]), FAST))
-    p.infer(f"no odometry: the motion is unknown, within {speed:.3g} m/s, as of nine tenths of the fixes")
-    return speed, _stand(p, given, {})
+    p.infer(f"no odometry: the motion is unknown, within {speed:.3g} m/s, the speed of nine tenths of the fixes")
+    _stand(p, {})
+    return speed, given
 
 
-def _stand(p: _Parts, given: Given, stamps: Mapping[str, str]) -> Given:
-    """The flags; in place of an odometry the robot stands at the rows of its table."""
+def _stand(p: _Parts, stamps: Mapping[str, str]) -> None:
+    """In place of an odometry the robot stands at the rows of its table."""
     for q in KINDS["poses"]:
         p.texts["odometry"] = p.texts["odometry"].beside(f"no {q}", np.zeros(len(p.texts["odometry"]), int))
     p.columns.given = {**p.columns.given, **{f"odometry.{q}": f"no {q}" for q in KINDS["poses"]}, **stamps}
-    return given
 
 
-LEAST_FIXES, FAST, SOON = (
-    5,
-    0.9,
-    10,
-)  # Fixes that tell a speed, the quantile of it, and those that tell the first heading
+LEAST_FIXES, FAST, SOON = 5, 0.9, 10  # Fixes that tell a speed, its quantile; first fixes that tell the heading
 
 
 def _name_observations(p: _Parts, given: Given, kind: str, unnamed: Collection[str]) -> None:

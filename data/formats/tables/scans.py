@@ -130,11 +130,8 @@ def wide_in(file: TextTable, *, stated: bool) -> list[str]:
     """
     runs = [names for _, run in groupby(file.names, key=stem_of) if len(names := list(run)) >= BEAMS and file.named]
     words = [{*words_of(stem_of(names[0]))[0]} for names in runs]
-    told = [
-        names
-        for names, of in zip(runs, words, strict=True)
-        if of & SCANNED or (stated and not of & {"cov", "covariance"})
-    ]
+    fits = [bool(of & SCANNED) or (stated and not of & {"cov", "covariance"}) for of in words]
+    told = [names for names, fit in zip(runs, fits, strict=True) if fit]
     return [told[0][0], told[0][-1]] if len(told) == 1 else []
 
 
@@ -146,7 +143,7 @@ def folded_up(file: TextTable) -> TextTable | None:
     between the angles; scans change with a stamp or number, or where angles begin anew. None of any other table.
     """
     words = [{*words_of(name)[0]} for name in file.names] if file.named else []
-    at, far = ([k for k, of in enumerate(words) if of & known] for known in (LISTED, FAR))
+    at, far = ([k for k, of in enumerate(words) if of & known] for known in (ANGLES, FAR))
     if len(at) != 1 or len(far) != 1 or not all(is_number(row[k]) for row in file.rows for k in (*at, *far)):
         return None
     angle, distance = (np.array([row[k] for row in file.rows], float) for (k,) in (at, far))
@@ -182,12 +179,8 @@ def _listed_angles(file: TextTable, beams: Sequence[int], columns: Columns) -> A
     found = []
     for k, name in enumerate(file.names):
         fields = [row[k] for row in file.rows if row[k]]
-        if (
-            k not in beams
-            and len(fields) == len(beams)
-            and {*words_of(name)[0]} & LISTED
-            and all(map(is_number, fields))
-        ):
+        told = k not in beams and {*words_of(name)[0]} & ANGLES
+        if told and len(fields) == len(beams) and all(map(is_number, fields)):
             found.append((name, np.array(fields, float)))
     if len(found) != 1:
         return None
@@ -203,7 +196,7 @@ def _listed_angles(file: TextTable, beams: Sequence[int], columns: Columns) -> A
     return np.append(angles * (ANGLE["deg"] if deg else 1.0), reach)
 
 
-LISTED = frozenset(("angle", "angles", "bearing", "bearings", "azimuth", "azimuths", "theta", "phi"))
+ANGLES = frozenset(("angle", "angles", "bearing", "bearings", "azimuth", "azimuths", "theta", "phi"))
 
 
 def _geometry(names: Sequence[str]) -> dict[str, tuple[int, float]]:

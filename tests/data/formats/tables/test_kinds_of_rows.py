@@ -130,7 +130,7 @@ def test_scans_of_an_array_beside_the_odometry_have_the_angles_of_another(conver
     assert log.recorded.increments.mean[1] == pytest.approx([0.01, 0.0, 0.0])
     np.savez(path, time=0.2 * np.arange(300), scans=parts["scans"], angles=parts["angles"])
     log, said = convert({}, "table", str(path), "out")
-    assert "scans alone tells the motion" in said
+    assert "scan matching alone tells the motion" in said
     assert not log.recorded.increments.mean.any()
     assert log.recorded.increments.covariance[1, 0, 0] > 0.001
 

@@ -206,7 +206,7 @@ def test_an_odometry_that_is_set_to_zero_ends_there(made):
     rows += [(TIME[-1] + 0.5, *POSE[0], *POSE[-1, :2]), (TIME[-1] + 1.0, *ARC, *POSE[-1, :2])]
     log, said = made({"a.csv": csv("t,x,y,theta,gt_x,gt_y", rows)}, "--frames", "odometry")
     assert log.recorded.time[-1] == TIME[-1]
-    assert "it was set to zero, and ends there" in said
+    assert "it was reset, so the odometry ends there" in said
 
 
 def test_stamps_that_are_times_of_day_are_seconds(made):
@@ -234,7 +234,9 @@ def test_fixes_without_an_odometry_move_as_fast_as_they_do(made, speed):
     else:
         assert V * STEP < np.sqrt(P[0, 0, 0]) < 1.5 * V * STEP
         assert "no odometry: the motion is unknown" in said
-        assert "ms" not in said
+        assert "--odometry-sigma" not in said
+        assert "--unit time" not in said
+    assert "inferred: --prior at the first fix" in said
 
 
 def test_labels_are_the_column_that_holds_the_names_of_the_map(made):
