@@ -90,7 +90,7 @@ def read_scans(
     same = float(least[often.argmax()]) if len(often) and often.max() > SHARE * len(read) else 0.0
     if same:  # more often than any robot is so close to a wall
         columns.notes.append(f"{file.path.name}: inferred: {same:g} m, {often.max()} times, stands for no return")
-    known, unit = {"range_min": 1.001 * same}, 1.0
+    known, unit = dict[str, float](), 1.0
     for k, (row, line) in enumerate(zip(file.rows, file.line.tolist(), strict=True)):
         fields = [row[j] or "nan" for j in beams] if listed is None else row[listed].strip("()[] ").split(",")
         if (slots != range(len(slots))).any():
@@ -101,6 +101,7 @@ def read_scans(
         last = max(len(fields) - 1, 1)
         known |= {name: si * float(row[j]) for name, (j, si) in numbers.items() if is_number(row[j])} | given
         own = dict(known)  # of a key alone that of the first row
+        own["range_min"] = max(own.get("range_min", 0.0), 1.001 * same)
         if {"angle_min", "angle_max"} <= {*own}:
             own.setdefault("angle_increment", (own["angle_max"] - own["angle_min"]) / last)
         if missing := [name for name in STATED if name not in own]:

@@ -176,3 +176,15 @@ def test_half_a_covariance_of_a_message_is_mirrored_and_a_bent_one_refused(tmp_p
             assert path.covariance[4] == pytest.approx(C[keep])
             assert path.space.covariance[4] == pytest.approx(C)
             assert path.notes == ("30 of 30 covariances have only their upper triangle, which is mirrored",)
+
+
+def test_poses_outside_the_stamps_of_a_transform_they_need_are_left_out(tmp_path):
+    """Those within one of its steps stay: it may have been published at once with what follows."""
+    maker = Full("mcap")
+    for k, place in enumerate(WAY):
+        maker.transform(float(k), "odom", "base_link", place)
+        if 8 <= k <= 16 and k % 4 == 0:
+            maker.transform(float(k), "map", "odom", (3.0, -2.0, 0.1 * k))
+    path = read_path(f"{maker.save(tmp_path)}:/tf:map.base_link")
+    assert path.time - START == pytest.approx(np.arange(4.0, 21.0), abs=1e-6)
+    assert any("13 of 30 poses are outside the stamps of the transforms they need" in note for note in path.notes)

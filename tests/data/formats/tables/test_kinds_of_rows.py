@@ -71,6 +71,17 @@ ODOMETRY = "%time,field.header.stamp,field.x,field.y,field.theta\n" + "".join(
 
 
 @pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("often", [True, False])
+def test_a_tiny_range_that_comes_often_stands_for_no_return(read, often, named):
+    """Also where the file states that the least range is 0 m."""
+    far = scans(named=named).replace(",0.1,20.0", ",0.0,20.0").replace("5.0,", "0.01,", 40 if often else 1)
+    words = ("--scanner=-180deg,10deg,20", "--columns=scans.t=37,scans.range=1", "--unit=scans.t=ns") * (not named)
+    log, said = read({"odo.csv": ODOMETRY, "scan.csv": far}, "--scans", "scan.csv", *words)
+    assert ("0.01 m, 40 times, stands for no return" in said) == often
+    assert (log.recorded.scans.ranges == 0.01).sum() == (not often)
+
+
+@pytest.mark.parametrize("named", [True, False])
 def test_scans_of_a_table_are_those_of_a_laser_log(read, named):
     """As rostopic echo -p writes them, or without names."""
     words = ("--scanner=-180deg,10deg,20", "--columns=scans.t=37,scans.range=1", "--unit=scans.t=ns") * (not named)
