@@ -2,11 +2,12 @@
 
 import argparse
 import contextlib
+import math
 import os
 import re
 import sysconfig
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -32,6 +33,30 @@ def stretch(text: str) -> tuple[float, float]:
         if colon and float(begin) < float(end):
             return float(begin), float(end)
     raise argparse.ArgumentTypeError(f"{text!r} is not FROM:TO in seconds, FROM before TO")
+
+
+def number(text: str) -> float:
+    """A flag's number, not NaN."""
+    value = float(text)
+    if math.isnan(value):
+        raise ValueError
+    return value
+
+
+TYPES: dict[str, Any] = {"path": Path, "int": int, "float": float, "number": number, "count": count, "stretch": stretch}
+TYPES |= {"either": argparse.BooleanOptionalAction}
+
+
+def declare(
+    parser: argparse._ActionsContainer, arguments: Mapping[str, Mapping[str, Any]], **types: Callable[[str], Any]
+) -> None:
+    """Add the arguments of a table, by name with what `add_argument` takes; types and actions by their names here."""
+    known = TYPES | types
+    for name, given in arguments.items():
+        how: dict[str, Any] = {k: known.get(v, v) if k in ("type", "action") else v for k, v in given.items()}
+        if isinstance(how.get("metavar"), list):
+            how["metavar"] = tuple(how["metavar"])
+        parser.add_argument(name, **how)
 
 
 PLACE = re.compile(r"(^|[=,:])(/(?!/)(?:[^/=,:]*/)*)")

@@ -11,12 +11,12 @@ import argparse
 import math
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from data.command import stretch
-from data.convert import TEXTS, said_of
+from data.command import declare
+from data.convert import TEXTS, parser_of
 from data.errors import DataError, UsageError, unknown
-from data.worlds.registry import SIMULATORS, add_flags, number, parameters_of, simulate
+from data.worlds.registry import SIMULATORS, add_flags, parameters_of, simulate
 
 if TYPE_CHECKING:
     from data.command import Add
@@ -24,40 +24,15 @@ if TYPE_CHECKING:
     from data.log import Log
     from data.motion.velocity import VelocityModel
 
-CALIBRATION: dict[str, tuple[str, str]] = TEXTS["mrclam"]["calibration"]
-"""Fields of `data.formats.mrclam.Calibration` with a flag: metavar (none for a switch) and help."""
+CALIBRATION = tuple(flag[2:].replace("-", "_") for flag in TEXTS["mrclam"]["calibration"])
+"""Fields of `data.formats.mrclam.Calibration` with a flag."""
 
 
 def _add_mrclam(add: Add) -> None:
     """The parser of `mrclam`."""
-    sub = add("mrclam", **said_of("mrclam"))
-    sub.add_argument("source", metavar="SOURCE", type=Path, help="folder with the .dat files, or the published zip")
-    sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
-    sub.add_argument("--robot", type=int, metavar="N", required=True, help="robot, 1 to 5")
-    sub.add_argument("--start", type=number, metavar="S", help="the log starts no earlier")
-    sub.add_argument("--stop", type=number, metavar="S", help="the log ends no later")
-    says = TEXTS["mrclam"]["says"]
-    sub.add_argument("--landmarks", type=Path, metavar="FILE", help=says["landmarks"])
-    every: dict[str, Any] = {"action": "append", "default": [], "metavar": "FROM:TO"}
-    sub.add_argument("--exclude-truth", type=stretch, help=says["exclude-truth"], **every)
-    sub.add_argument("--grid", type=number, metavar="S", help=says["grid"])
-    two: dict[str, Any] = {"type": number, "nargs": 2, "metavar": ("M", "RAD")}
-    sub.add_argument("--prior-sigma", default=(0.05, 0.05), help=says["prior-sigma"], **two)
-    text = "defaults: the frozen numbers of data/formats/mrclam.py"
-    group = sub.add_argument_group("calibration and noise", text)
-    group.add_argument("--uncalibrated", action="store_true", help=says["uncalibrated"])
-    for name, (unit, text) in CALIBRATION.items():
-        flag = f"--{name.replace('_', '-')}"
-        if unit:
-            group.add_argument(flag, type=number, metavar=unit, help=text)
-        else:
-            group.add_argument(flag, action=argparse.BooleanOptionalAction, default=None, help=text)
-    group.add_argument("--sigma", help=says["sigma"], **two)
-    group.add_argument("--motion-model", choices=("unicycle", "half_angle"), help=says["motion-model"])
-    noises = ("velocity", "displacement", "density", "textbook")
-    group.add_argument("--motion-noise", choices=noises, help=says["motion-noise"])
-    group.add_argument("--motion-sigma", help=says["motion-sigma"], **(two | {"metavar": ("V", "OMEGA")}))
-    group.add_argument("--motion-alphas", type=number, nargs="+", metavar="A", help=says["motion-alphas"])
+    about = "defaults: the frozen numbers of data/formats/mrclam.py"
+    group = parser_of(add, "mrclam").add_argument_group("calibration and noise", about)
+    declare(group, TEXTS["mrclam"]["calibration"] | TEXTS["mrclam"]["noise"])
 
 
 def _mrclam(args: argparse.Namespace) -> Log:
@@ -104,17 +79,6 @@ def _motion(args: argparse.Namespace, default: VelocityModel) -> VelocityModel:
     elif kind != noise.kind:
         raise UsageError(f"--motion-noise {kind} needs {flag}")
     return VelocityModel(noise, args.motion_model or default.model)
-
-
-def _add_bag(add: Add) -> None:
-    """The parser of `bag`."""
-    sub = add("bag", **said_of("bag"))
-    sub.add_argument("source", metavar="BAG", type=Path, help="a .bag file, a folder of ROS 2, or its .mcap or .db3")
-    sub.add_argument("out", metavar="OUT", type=Path, nargs="?", help="log folder to write (not with --list)")
-    sub.add_argument("--list", action="store_true", help="print what each topic becomes, and write nothing")
-    for flag, (metavar, text) in TEXTS["bag"]["flags"].items():
-        sub.add_argument(f"--{flag}", metavar=metavar, help=text)
-    sub.add_argument("--skip", metavar="TOPIC", action="append", default=[], help="a topic to leave out; repeatable")
 
 
 def _bag(args: argparse.Namespace) -> Log | str:
@@ -171,15 +135,12 @@ FLAGS: dict[str, tuple[str, str]] = TEXTS["table"]["flags"]
 
 def _add_table(add: Add) -> None:
     """The parser of `table`."""
-    sub = add("table", **said_of("table"))
+    sub = parser_of(add, "table")
     sub.argument_default = argparse.SUPPRESS
-    says = TEXTS["table"]["says"]
-    sub.add_argument("source", metavar="SOURCE", type=Path, help=says["source"])
-    sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     for name, (metavar, text) in FLAGS.items():
         action = "append" if name in (*TABLES, *REPEATED) else "store"
         sub.add_argument(f"--{name}", dest=name, metavar=metavar, help=text, action=action)
-    sub.add_argument(f"--{SENSED}", dest=SENSED, action="store_true", help=says[SENSED])
+    sub.add_argument(f"--{SENSED}", dest=SENSED, action="store_true", help=TEXTS["table"]["sensed"])
 
 
 def _table(args: argparse.Namespace) -> Recording:
@@ -197,17 +158,6 @@ def _table(args: argparse.Namespace) -> Recording:
 
 SUFFIX = ".g2o"
 TORO = (".graph", ".toro")
-
-
-def _add_g2o(add: Add) -> None:
-    """The parser of `g2o`."""
-    sub = add("g2o", **said_of("g2o"))
-    says = TEXTS["g2o"]["says"]
-    sub.add_argument("source", metavar="SOURCE", help=says["source"])
-    sub.add_argument("out", metavar="OUT", type=Path, help=f"log folder to write, or {SUFFIX} file")
-    sub.add_argument("--true", action="store_true", help="of a graph: its vertices are the true values")
-    sub.add_argument("--noise", choices=("information", "covariance", "root"), help=says["noise"])
-    sub.add_argument("--run", metavar="FOLDER", type=Path, help=says["run"])
 
 
 def _g2o(args: argparse.Namespace) -> Log | str:
@@ -260,19 +210,8 @@ TURNS, SEEN = "0.005,0.01,0.005", "0.1,0.1"
 
 def _add_named(add: Add, *, parameters: bool) -> None:
     """The parsers of recordings with a name, and of worlds; `parameters`: with theirs."""
-    park, plaza, dlr, course = (add(kind, **said_of(kind)) for kind in NAMED[:4])
-    plaza.add_argument("set", metavar="SET", type=int, choices=(1, 2), help="1 or 2")
-    plaza.add_argument("--range-scale", metavar="S", type=float, default=1.07, help=TEXTS["plaza"]["says"]["scale"])
-    plaza.add_argument("--range-sigma", metavar="M", type=float, default=0.5, help="noise of a range (default: 0.5)")
-    dlr.add_argument("file", metavar="FILE", type=Path, help="map.circles")
-    course.add_argument("file", metavar="FILE", type=Path, help="sensor_data.dat")
-    course.add_argument("--map", metavar="FILE", type=Path, help="the known map, as world.dat: id x y a line")
-    odometry = ("--odometry-sigma", "R1,T,R2", "turns and drive of a step", TURNS)
-    for flag, metavar, of, usual in (odometry, ("--observation-sigma", "R,B", "range and bearing", SEEN)):
-        text = f"standard deviations of {of} (default: {usual}, as in the exercises)"
-        course.add_argument(flag, metavar=metavar, help=text)
-    for each in (park, plaza, dlr, course):
-        each.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
+    for kind in NAMED[:4]:
+        parser_of(add, kind)
     for world in NAMED[4:]:
         w = SIMULATORS[world]
         description = f"{w.help[0].upper()}{w.help[1:]}. The same seed gives the same log."
@@ -326,8 +265,10 @@ KINDS = tuple(CONVERSIONS)
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parsers of all kinds; `parameters`: with those of worlds, which take the world to be loaded."""
-    for each in (_add_mrclam, _add_bag, _add_table, _add_g2o):
-        each(add)
+    _add_mrclam(add)
+    parser_of(add, "bag")
+    _add_table(add)
+    parser_of(add, "g2o")
     _add_named(add, parameters=parameters)
 
 

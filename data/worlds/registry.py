@@ -19,7 +19,7 @@ from dataclasses import Field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from data.command import count
+from data.command import count, number
 from data.errors import UsageError, did_you_mean
 from data.wing import World, wings
 
@@ -167,14 +167,6 @@ def named_log(name: str) -> Log:
     for key in counts:
         raise UsageError(f"{name}: {key} is for a recording with images")
     return simulate(world, parameters, seed, name)
-
-
-def number(text: str) -> float:
-    """A flag's number, not NaN."""
-    value = float(text)
-    if math.isnan(value):
-        raise ValueError
-    return value
 
 
 def degrees(text: str) -> float:

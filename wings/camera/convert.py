@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import fields
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data.convert import said_of
+from data.command import declare
+from data.convert import TEXTS, parser_of
 from data.terminal import counted
 from data.worlds.registry import add_flags
 
@@ -20,24 +20,13 @@ KINDS = ("visual", "lab", "closures")
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
-    """The parsers of both; `parameters`: with the renderer's flags, which take it to be loaded."""
-    sub, lab, places = (add(kind, **said_of(kind)) for kind in KINDS)
-    if parameters:
-        add_flags(sub, "visual")
-        sub.add_argument("--form", choices=("mat", "npy", "npz"), default="mat", help="of the log file (default: mat)")
-        sub.add_argument("--frames", type=int, metavar="N", help="the first N frames only")
-    lab.add_argument("source", metavar="FOLDER", type=Path, help="with configuration, log file and folder landmark/")
-    lab.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
-    lab.add_argument("--corner-noise", choices=("lab", "depth"), default="lab", help="of the corners (default: lab)")
-    places.add_argument("source", metavar="LOG", help="visual:SEED or a folder in the visual lab's format")
-    places.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
-    places.add_argument("--apart", metavar="S", type=float, default=10.0, help="least time between visits (10)")
-    for each in (lab, places):
-        units = ("cm", "mm", "m")
-        each.add_argument("--camera-translation", choices=units, default="cm", help="unit of T (default: cm)")
-        text = "what R and T do (default: p_c = R p_b + T)"
-        each.add_argument("--camera-reading", choices=("to-camera", "to-body"), default="to-camera", help=text)
-        each.add_argument("--trust-pickle", action="store_true", help="read object arrays: they can run code")
+    """The parsers of all; `parameters`: with the renderer's flags, which take it to be loaded."""
+    for kind in KINDS:
+        sub = parser_of(add, kind)
+        if kind != "visual":
+            declare(sub, TEXTS["pictures"]["arguments"])
+        elif parameters:
+            add_flags(sub, kind)
 
 
 def convert(args: argparse.Namespace) -> Log | str:
