@@ -4,10 +4,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from data.command import Command
 from data.errors import UsageError
 from data.terminal import ending
-from eval.plan.flags import texts_of
+from eval.plan.flags import command_of
 
 PROG = "python -m eval.inspect"
 PICTURES = (".png", ".pdf")
@@ -16,12 +15,7 @@ PICTURES = (".png", ".pdf")
 @ending()
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
-    parser = Command(prog, PROG, *texts_of("inspect"))
-    named = "an open log folder, a CARMEN log, or a name: victoria-park, arena:SEED, corridor:SEED[:KEYS]"
-    other = "of any other recording it names the command that converts it"
-    parser.add_argument("log", metavar="LOG", help=f"{named}; {other}")
-    parser.add_argument("--plot", metavar="FILE", type=Path, help="plot the log (.png or .pdf)")
-    options = parser.read(argv)
+    options = command_of(prog, PROG, "inspect").read(argv)
     plot: Path | None = options.plot
     if plot is not None and plot.suffix not in PICTURES:
         raise UsageError(f"--plot {plot}: a file name that ends in {' or '.join(PICTURES)} is needed")
@@ -49,10 +43,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
 @ending("interrupted; nothing was written")
 def problem(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `slamref report-problem`; returns its exit status."""
-    parser = Command(prog, PROG, *texts_of("problem"))
-    parser.add_argument("input", metavar="INPUT", nargs="+", help="LOG, a planar GRAPH.g2o, or ESTIMATE TRUTH")
-    parser.add_argument("--out", metavar="FILE", type=Path, default=Path("problem.zip"), help="(default: problem.zip)")
-    options = parser.read(argv)
+    options = command_of(prog, PROG, "problem").read(argv)
     from eval.report.problem import pack
 
     if len(options.input) > 2:

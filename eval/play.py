@@ -9,7 +9,7 @@ from pathlib import Path
 from data.command import Command
 from data.errors import UsageError
 from data.terminal import ending, message_of
-from eval.plan.flags import texts_of
+from eval.plan.flags import command_of
 from eval.plan.flags.options import options_of
 from eval.plan.flags.table import FIRST_FRAMES, HELP, Options, add_flags
 from eval.replay.flag import rows
@@ -26,12 +26,8 @@ SHARED = (PLAYED, *(TABLE[name] for name in ("cooperative", *HOW, *LONG_LOGS, *T
 
 def parser(prog: str = PROG) -> Command:
     """The flags."""
-    p = Command(prog, PROG, *texts_of("play"))
-    p.add_argument("log", metavar="LOG", help="as for `slamref run`")
+    p = command_of(prog, PROG, "play")
     add_flags(p, SHARED)
-    p.add_argument("--report", metavar="DIR", type=Path, help=HELP["lab_report"])
-    p.add_argument("--frames", metavar="N", help="only the first N frames")
-    p.add_argument("--out", metavar="FILE", type=Path, help="the page (default: the log's name with .html)")
     return p
 
 

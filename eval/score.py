@@ -4,11 +4,10 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
-from data.command import Command
 from data.errors import UsageError
 from data.terminal import counted, ending
-from eval.plan.flags import texts_of
-from eval.plan.flags.table import HELP, Scoring, add_flags
+from eval.plan.flags import command_of
+from eval.plan.flags.table import Scoring, add_flags
 from eval.replay.flag import read_values, rows
 
 PROG = "python -m eval.score"
@@ -17,9 +16,7 @@ PROG = "python -m eval.score"
 @ending()
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
-    parser = Command(prog, PROG, *texts_of("score"))
-    parser.add_argument("files", metavar="FILE", nargs="+", help=HELP["score_files"])
-    parser.add_argument("--truth", metavar="FILE", nargs="+", default=[], help=HELP["score_truth"])
+    parser = command_of(prog, PROG, "score")
     add_flags(parser, rows(Scoring).values())
     given = vars(parser.read(argv))
     from data.formats.results.reading import holds_both

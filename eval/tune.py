@@ -9,11 +9,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data.command import Command
 from data.errors import DataError, UsageError
 from data.terminal import counted, ending, in_columns
-from eval.plan.flags import texts_of
-from eval.plan.flags.table import HELP
+from eval.plan.flags import command_of
 from eval.replay.flag import probability_or_auto
 from eval.replay.settings import Setup
 
@@ -27,14 +25,7 @@ PROG = "python -m eval.tune"
 @ending("interrupted; nothing was written")
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
-    parser = Command(prog, PROG, *texts_of("tune"))
-    parser.add_argument("log", metavar="LOG", help="an open log folder with labels, or a name: arena:SEED, ...")
-    parser.add_argument("out", metavar="OUT", type=Path, help="folder of the copy; replaces an earlier tuned log")
-    parser.add_argument("--fit", metavar="GROUPS", help=HELP["tune_fit"])
-    parser.add_argument("--gate", default="auto", metavar="P", help=HELP["tune_gate"])
-    parser.add_argument("--keep-truth", action="store_true", help=HELP["keep_truth"])
-    parser.add_argument("--use", metavar="TUNED", type=Path, help="apply the values of this tuned log, without a fit")
-    options = parser.read(argv)
+    options = command_of(prog, PROG, "tune").read(argv)
     from threadpoolctl import threadpool_limits
 
     from data.formats.open_log import write_folder

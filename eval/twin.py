@@ -2,13 +2,11 @@
 
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
-from data.command import Command, count
 from data.errors import UsageError
 from data.terminal import counted, ending
-from eval.plan.flags import texts_of
-from eval.replay.settings import ASSOCIATIONS, TASKS
+from eval.plan.flags import command_of
+from eval.replay.settings import ASSOCIATIONS
 
 PROG = "python -m eval.twin"
 
@@ -16,12 +14,7 @@ PROG = "python -m eval.twin"
 @ending("interrupted; nothing was written")
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
-    parser = Command(prog, PROG, *texts_of("twin"))
-    parser.add_argument("log", metavar="LOG", help="an open log folder, or a name: victoria-park, arena:SEED, ...")
-    parser.add_argument("out", metavar="OUT", type=Path, help="folder of the twin; replaces an earlier log")
-    parser.add_argument("--seed", type=count, default=0, metavar="S", help="random seed (default: 0)")
-    task = "task of the smoother (default: localization where LOG has a map, else slam)"
-    parser.add_argument("--task", choices=TASKS, help=task)
+    parser = command_of(prog, PROG, "twin")
     default = "(default: known where LOG has labels, jcbb for walls, else jcbb-hindsight)"
     parser.add_argument("--association", metavar="NAME", help=f"of {', '.join(ASSOCIATIONS)}, or your own {default}")
     options = parser.read(argv)

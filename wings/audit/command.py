@@ -6,10 +6,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from data.command import Command, count
+from data.errors import UsageError
 from data.terminal import ending
-from eval.plan.flags import texts_of
-from eval.plan.flags.table import HELP
+from eval.plan.flags import command_of
 
 PROG = "slamref audit"
 
@@ -17,19 +16,10 @@ PROG = "slamref audit"
 @ending()
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The command `prog`; returns its exit status."""
-    parser = Command(prog, PROG, *texts_of("audit"))
-    parser.add_argument("graph", metavar="GRAPH", help="a .g2o, .graph or .txt file, or FILE.py:FUNCTION")
-    how = parser.add_mutually_exclusive_group()
-    how.add_argument("--optimize", action="store_true", help="optimize first (default for a file)")
-    how.add_argument("--as-given", action="store_true", help="take the values as they are (default for a function)")
-    parser.add_argument("--out", metavar="DIR", type=Path, help="folder for tables and report.html")
-    parser.add_argument("--noise", choices=("information", "covariance", "root"), help=HELP["audit_noise"])
-    parser.add_argument("--rescale", metavar="FILE", type=Path, help=HELP["audit_rescale"])
-    parser.add_argument("--rejected", choices=("leave-out", "robust"), default="leave-out", help=HELP["audit_rejected"])
-    parser.add_argument("--steps", metavar="N", type=count, default=30, help=HELP["audit_steps"])
-    parser.add_argument("--draws", metavar="N", type=count, default=200, help="draws of the graph (default: 200)")
-    parser.add_argument("--seed", metavar="S", type=count, default=0, help="random seed (default: 0)")
-    return _audit(parser.read(argv), prog)
+    options = command_of(prog, PROG, "audit").read(argv)
+    if options.optimize and options.as_given:
+        raise UsageError("--optimize and --as-given contradict each other; give one of them")
+    return _audit(options, prog)
 
 
 SOON = 5.0  # s, until which no stage is told

@@ -6,10 +6,9 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from data.command import Command
 from data.errors import DataError, UsageError
 from data.terminal import counted, ended
-from eval.plan.flags import texts_of
+from eval.plan.flags import command_of
 
 if TYPE_CHECKING:
     from data.log import Log
@@ -25,14 +24,7 @@ centre, which is about the middle."""
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The command `prog`; returns its exit status."""
-    parser = Command(prog, PROG, *texts_of("camera"))
-    parser.add_argument("log", metavar="LOG", help="visual:SEED[:frames=N] or a folder in the visual lab's format")
-    help_text = f"standard deviation of a corner in the image (default: {SIGMA:g})"
-    parser.add_argument("--pixel-sigma", metavar="PX", default=str(SIGMA), help=help_text)
-    parser.add_argument("--camera-translation", choices=("cm", "mm", "m"), default="cm", help="unit of T in the folder")
-    readings = ("to-camera", "to-body")
-    parser.add_argument("--camera-reading", choices=readings, default=readings[0], help="direction of R and T")
-    parser.add_argument("--trust-pickle", action="store_true", help="read Python objects: they can run code")
+    parser = command_of(prog, PROG, "camera")
     return ended(lambda: print(_camera(**vars(parser.read(argv)))))
 
 

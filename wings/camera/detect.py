@@ -2,12 +2,10 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 
-from data.command import Command
 from data.errors import DataError, UsageError
 from data.terminal import ending
-from eval.plan.flags import texts_of
+from eval.plan.flags import command_of
 
 PROG = "slamref detect"
 LARGEST = 1600  # px, longer side of a photo's searched copy, twice that of the camera frames the detector was tuned for
@@ -16,12 +14,7 @@ LARGEST = 1600  # px, longer side of a photo's searched copy, twice that of the 
 @ending()
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
-    parser = Command(prog, PROG, *texts_of("detect"))
-    parser.add_argument("image", metavar="IMAGE", type=Path, help="the photo")
-    reference = "an image of one whole picture, without surroundings"
-    parser.add_argument("references", metavar="REFERENCE", type=Path, nargs="+", help=reference)
-    parser.add_argument("--out", metavar="FILE.png", type=Path, help="write the photo with outlines of the pictures")
-    options = parser.read(argv)
+    options = command_of(prog, PROG, "detect").read(argv)
     image, references, out = options.image, options.references, options.out
     if out is not None and out.suffix.lower() != ".png":
         raise UsageError(f"--out {out}: a file name that ends in .png is needed")

@@ -14,16 +14,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from data.command import Parser, count
 from data.errors import UsageError
 from data.terminal import ending
-from eval.plan.flags import texts_of
-from eval.plan.flags.table import HELP
+from eval.plan.flags import command_of
 
 if TYPE_CHECKING:
     from wings.robot.link import Clock
     from wings.robot.simulated import Wire
 
+PROG = "python -m data.robot.simulate"
 TRUTH_PERIOD = 0.05  # s of robot time between rows of the truth
 LONGEST_WAIT = 0.05  # s of real time to wait for a byte before the robot moves on
 
@@ -92,24 +91,6 @@ def run(wire: Wire, terminal: Terminal, clock: Clock, truth: TextIO | None = Non
             wire.write(clock.now(), came)
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command line."""
-    about, examples = texts_of("simulate")
-    top = Parser(prog="python -m data.robot.simulate", description=about, epilog=examples)
-    top.add_argument("--world", default="walls:0", metavar="NAME:SEED", help=HELP["simulate_world"])
-    top.add_argument("--link", type=Path, required=True, metavar="PATH", help=HELP["simulate_link"])
-    share = _number(0.0, 1.0)
-    top.add_argument("--drop", type=share, default=0.0, metavar="P", help="probability that a byte is lost")
-    top.add_argument("--flip", type=share, default=0.0, metavar="P", help="probability that a byte has a flipped bit")
-    top.add_argument("--stall", type=_number(0.0, 3600.0), default=0.0, metavar="SECONDS", help=HELP["simulate_stall"])
-    top.add_argument("--speed", type=_number(0.01, 1000.0), default=1.0, metavar="X", help=HELP["simulate_speed"])
-    top.add_argument("--framed", action="store_true", help="packets between a marker and a checksum, both ways")
-    top.add_argument("--lidar", action="store_true", help=HELP["simulate_lidar"])
-    top.add_argument("--seed", type=count, default=0, metavar="N", help=HELP["simulate_seed"])
-    top.add_argument("--truth", type=Path, metavar="FILE", help=HELP["simulate_truth"])
-    return top
-
-
 def _number(low: float, high: float) -> Callable[[str], float]:
     def convert(text: str) -> float:
         value = float(text)
@@ -124,7 +105,8 @@ def _number(low: float, high: float) -> Callable[[str], float]:
 @ending()
 def main(argv: Sequence[str] | None = None) -> None:
     """Simulate until terminated; 0, or 2 with one line on stderr."""
-    args = parser().parse_args(argv)
+    types = {"share": _number(0.0, 1.0), "stall": _number(0.0, 3600.0), "speed": _number(0.01, 1000.0)}
+    args = command_of(PROG, PROG, "simulate", **types).read(argv)
     world = re.fullmatch(r"(walls|floorplan):([0-9]{1,9})", args.world)
     if world is None:
         right = "walls:SEED or floorplan:SEED is one, with a whole number from 0 up"

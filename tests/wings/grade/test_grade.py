@@ -17,7 +17,6 @@ from data.formats.mrclam import load_mrclam
 from tests.quick import slow
 from wings.grade import handout, parts, utias
 from wings.grade.classes import distributions, similar
-from wings.grade.command import NAMES
 from wings.grade.parts import Outcome, Seeds
 from wings.grade.sandbox import MODULES, graded, outcomes, read_scheme
 
@@ -46,7 +45,7 @@ def outcome_of(file, assignment, name):
 
 
 def every_part():
-    return [(a, p.name) for a in NAMES for p in importlib.import_module(MODULES[a]).PARTS]
+    return [(a, p.name) for a in MODULES for p in importlib.import_module(MODULES[a]).PARTS]
 
 
 def mistakes():
@@ -73,7 +72,7 @@ def test_a_typical_mistake_loses_points_and_is_named(assignment, part, points, c
 
 def test_every_assignment_has_twelve_mistakes():
     lines = (HERE / "mistakes.txt").read_text().splitlines()[1:]
-    assert min(sum(line.startswith(f"{a} |") for line in lines) for a in NAMES) >= 12
+    assert min(sum(line.startswith(f"{a} |") for line in lines) for a in MODULES) >= 12
 
 
 @pytest.mark.parametrize(("assignment", "part"), [slow(*e) if e[1] in LONG else e for e in every_part()])
@@ -89,7 +88,7 @@ def test_a_model_solution_gets_everything_and_a_handout_nothing(assignment, part
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("assignment", NAMES)
+@pytest.mark.parametrize("assignment", MODULES)
 def test_a_model_solution_gets_everything_on_other_seeds(assignment):
     for part in importlib.import_module(MODULES[assignment]).PARTS:
         found = graded(SOLUTIONS / f"{assignment}.py", part, part.prepare(Seeds(tuple(range(20, 26)))))

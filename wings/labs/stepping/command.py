@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from data.command import Command
 from data.errors import UsageError
 from data.terminal import ending
-from eval.plan.flags import texts_of
+from eval.plan.flags import command_of
 from eval.plan.flags.options import options_of
 from eval.plan.flags.table import FIRST_FRAMES, HELP, Options, add_flags
 from eval.replay.flag import rows
@@ -36,15 +36,8 @@ DEFAULTS = {"association": "jcbb", "estimator": "ekf"}
 
 def parser(prog: str = PROG) -> Command:
     """The flags."""
-    p = Command(prog, PROG, *texts_of("step"))
-    p.add_argument("words", nargs="*", metavar="LOG", help="the same as --log")
+    p = command_of(prog, PROG, "step")
     add_flags(p, SHARED)
-    add = p.add_argument
-    add("--report", metavar="DIR", type=Path, help=HELP["lab_report"])
-    add("--save", metavar="DIR", type=Path, help="write figures and text of all steps to DIR")
-    add("--run-through", action="store_true", help="do not pause (never without a terminal)")
-    add("--frames", metavar="N", help="only the first N frames")
-    add("--lab-text", action="store_true", help="steps in the format of the lab's program, counted from 1")
     return p
 
 
