@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from data.digest import ROOT
-from data.errors import did_you_mean, unknown
+from data.errors import UsageError, did_you_mean, unknown
 
 Add = Callable[..., argparse.ArgumentParser]
 """Adds the parser of a kind of `slamref convert`, by name, help, description and epilog."""
@@ -47,15 +47,33 @@ TYPES: dict[str, Any] = {"path": Path, "int": int, "float": float, "number": num
 TYPES |= {"either": argparse.BooleanOptionalAction}
 
 
+def within(flag: str, least: float, most: float = math.inf, *, whole: bool = False) -> Callable[[str], float]:
+    """A flag's number between limits; UsageError for another one."""
+
+    def convert(text: str) -> float:
+        with contextlib.suppress(ValueError):
+            value = float(text)
+            if least <= value <= most and (value.is_integer() or not whole):
+                return value
+        limits = f"from {least:g}" + (" up" if math.isinf(most) else f" to {most:g}")
+        raise UsageError(f"{flag} {text}: a {'whole ' * whole}number {limits} is needed")
+
+    return convert
+
+
 def declare(
     parser: argparse._ActionsContainer, arguments: Mapping[str, Mapping[str, Any]], **types: Callable[[str], Any]
 ) -> None:
-    """Add the arguments of a table, by name with what `add_argument` takes; types and actions by their names here."""
+    """Add the arguments of a table, by name with what `add_argument` takes: types and actions by their names here, or
+    as `within` the limits of a number.
+    """
     known = TYPES | types
     for name, given in arguments.items():
         how: dict[str, Any] = {k: known.get(v, v) if k in ("type", "action") else v for k, v in given.items()}
         if isinstance(how.get("metavar"), list):
             how["metavar"] = tuple(how["metavar"])
+        if limits := how.pop("within", None):
+            how["type"] = within(name, **limits)
         parser.add_argument(name, **how)
 
 

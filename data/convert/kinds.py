@@ -247,9 +247,6 @@ def _named(args: argparse.Namespace) -> Log:
     if args.kind == "plaza":
         from data.formats.recordings.plaza import load_plaza
 
-        for flag, value in (("--range-scale", args.range_scale), ("--range-sigma", args.range_sigma)):
-            if not 0.0 < value < 1e3:
-                raise UsageError(f"{flag} {value:g}: a number above 0 is needed")
         return load_plaza(args.set, args.range_scale, args.range_sigma)
     from data.worlds.parameters import described
 

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from wings.camera.calibration import Belief, CameraEstimate
 
 PROG = "slamref camera"
-SIGMA = 0.2  # px, of a corner. Within a frame it is 0.08, but an error of a picture's corners lasts over frames
 SIZES = (0.5, 0.05)
 """Standard deviations of the prior over the image's size: of the focal length, which is about the width, and of the
 centre, which is about the middle."""
@@ -28,14 +27,8 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     return ended(lambda: print(_camera(**vars(parser.read(argv)))))
 
 
-def _camera(log: str, pixel_sigma: str, camera_translation: str, camera_reading: str, *, trust_pickle: bool) -> str:
+def _camera(log: str, pixel_sigma: float, camera_translation: str, camera_reading: str, *, trust_pickle: bool) -> str:
     """The lines about the estimate; ± is 3σ."""
-    try:
-        sigma = float(pixel_sigma)
-    except ValueError:
-        sigma = -1.0
-    if not 1e-3 <= sigma <= 100.0:
-        raise UsageError(f"--pixel-sigma {pixel_sigma}: a number from 0.001 to 100 [px] is needed")
     import io
 
     import numpy as np
@@ -58,7 +51,7 @@ def _camera(log: str, pixel_sigma: str, camera_translation: str, camera_reading:
     share, middle = SIZES
     mean = np.array([width, 0.5 * (width - 1), 0.5 * (height - 1)])
     before = Belief(mean, np.array([share * width, middle * width, middle * height]))
-    made, truth = _estimate(opened, before, sigma), None
+    made, truth = _estimate(opened, before, pixel_sigma), None
     if log.startswith("visual:"):
         g, _, _ = parse_name(log)
         truth = np.array([g.focal, 0.5 * (g.image_width - 1), 0.5 * (g.image_height - 1)])

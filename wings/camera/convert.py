@@ -51,13 +51,10 @@ def convert(args: argparse.Namespace) -> Log | str:
 
 
 def _closures(args: argparse.Namespace) -> Log:
-    from data.errors import UsageError
     from data.logs import Reading
     from data.whole import whole_file
     from wings.camera.opening import open_places
 
-    if not 0.0 < args.apart < 1e6:
-        raise UsageError(f"--apart {args.apart:g}: a number above 0 [s] is needed")
     reading = Reading(args.camera_translation, args.camera_reading, trust_pickle=args.trust_pickle)
     log, found = open_places(args.source, args.apart, reading)
     rows = [(c.frame1, c.frame2, f"{c.similarity:.4f}", c.inliers, f"{c.likelihood:.6f}") for c in found]

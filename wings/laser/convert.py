@@ -58,8 +58,6 @@ def _key_poses(args: argparse.Namespace) -> Log:
     from wings.laser.slam.front_end import is_unknown
     from wings.laser.slam.key_log import ODOMETRY, SCAN_MATCH, key_log
 
-    if not 0.0 < args.keyframe_distance < 1e3:
-        raise UsageError(f"--keyframe-distance {args.keyframe_distance:g}: a number above 0 is needed")
     loops, corners = ("loops" not in args.leave_out, "corners" not in args.leave_out)
     if args.motion == SCAN_MATCH and not (loops or corners):
         raise UsageError("--leave-out loops --leave-out corners: nothing beside the motion is left")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import os
 import re
@@ -10,7 +9,7 @@ import select
 import signal
 import sys
 import tty
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
@@ -91,22 +90,10 @@ def run(wire: Wire, terminal: Terminal, clock: Clock, truth: TextIO | None = Non
             wire.write(clock.now(), came)
 
 
-def _number(low: float, high: float) -> Callable[[str], float]:
-    def convert(text: str) -> float:
-        value = float(text)
-        if not low <= value <= high:
-            raise argparse.ArgumentTypeError(f"{text} is not from {low:g} to {high:g}")
-        return value
-
-    convert.__name__ = "number"  # argparse names the type in its message
-    return convert
-
-
 @ending()
 def main(argv: Sequence[str] | None = None) -> None:
     """Simulate until terminated; 0, or 2 with one line on stderr."""
-    types = {"share": _number(0.0, 1.0), "stall": _number(0.0, 3600.0), "speed": _number(0.01, 1000.0)}
-    args = command_of(PROG, PROG, "simulate", **types).read(argv)
+    args = command_of(PROG, PROG, "simulate").read(argv)
     world = re.fullmatch(r"(walls|floorplan):([0-9]{1,9})", args.world)
     if world is None:
         right = "walls:SEED or floorplan:SEED is one, with a whole number from 0 up"

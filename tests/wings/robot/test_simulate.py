@@ -74,7 +74,8 @@ def test_a_link_through_pyserial_to_a_robot_on_a_terminal_and_its_log(tmp_path):
 
 
 @pytest.mark.parametrize(("flags", "message"), [
-    (("--world", "walls:x"), "walls:SEED or floorplan:SEED is one"), (("--drop", "2"), "2 is not from 0 to 1"),
+    (("--world", "walls:x"), "walls:SEED or floorplan:SEED is one"),
+    (("--drop", "2"), "--drop 2: a number from 0 to 1 is needed"),
 ])  # fmt: skip
 def test_what_makes_no_sense_is_one_line(tmp_path, flags, message):
     result = ended("--link", tmp_path / "robot", *flags)

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import gc
-import math
 from argparse import Namespace
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data.command import Command
 from data.errors import UsageError
 from data.terminal import INTERRUPTED, WRONG, ending
 from eval.plan.console import say
-from eval.plan.flags import texts_of
+from eval.plan.flags import command_of
 from eval.plan.flags.options import options_of
 from eval.plan.flags.table import HELP, Options, add_flags
 from eval.replay.flag import rows
@@ -30,7 +28,6 @@ SCAN, SCAN_ESTIMATOR = "scan", "isam2"  # the association of scans, and the only
 UNFIT = {"known": "walls have no labels", SCAN: "--lidar is needed", "jcbb-hindsight": "needs point landmarks"}
 FIT = tuple(name for name in ASSOCIATIONS if name not in UNFIT)
 USUAL_SIGMA = 0.01  # m, standard deviation of a lidar's range, as of the simulated one
-FITTED = ("weighted", "author")  # names of `wings.robot.walls.FITS`
 SHARED = (
     replace(TABLE["estimator"], help=HELP["live_estimator"]),
     replace(
@@ -48,37 +45,8 @@ REPORT = "-report"
 
 def parser(prog: str = PROG) -> Command:
     """The command's flags."""
-    p = Command(prog, PROG, *texts_of("live"))
-    add = p.add_argument
-    add("--link", metavar="DEVICE", type=Path, required=True, help="serial device of the robot")
-    add("--out", metavar="LOG", type=Path, required=True, help="folder of the recording; there must be none yet")
+    p = command_of(prog, PROG, "live")
     add_flags(p, SHARED)
-    add("--drive", choices=("walls", "explore", "none"), default="walls", help=HELP["live_drive"])
-    add("--explore", dest="drive", action="store_const", const="explore", help="the same as --drive explore")
-    add("--framed", action="store_true", help="packets with marker and checksum, both ways")
-    add("--lidar", action="store_true", help=HELP["live_lidar"])
-
-    def number(flag: str, metavar: str, least: float, most: float = math.inf, default: float | None = None, *,
-               whole: bool = False, help: str) -> None:  # fmt: skip
-        def convert(text: str) -> float:
-            with suppress(ValueError):
-                value = float(text)
-                if least <= value <= most and (value.is_integer() or not whole):
-                    return value
-            limits = f"from {least:g}" + (" up" if math.isinf(most) else f" to {most:g}")
-            raise UsageError(f"{flag} {text}: a {'whole ' * whole}number {limits} is needed")
-
-        add(flag, metavar=metavar, type=convert, default=default, help=help)
-
-    number("--lidar-sigma", "M", 1e-6, help="standard deviation of its ranges, m (default: 0.01)")
-    number("--slip", "M", 0.0, help="of a wheel, m per square root of the distance in m (default: 0.005)")
-    number("--sonar-sigma", "M", 1e-6, help="standard deviation of a distance, m (default: 0.005)")
-    add("--fit", choices=FITTED, default=FITTED[0], help=HELP["live_fit"])
-    number("--speed", "X", 0.01, 1000.0, 1.0, help="speed of a simulated robot, robot s per s (default: 1)")
-    number("--seconds", "S", 0.0, default=math.inf, help="end after S seconds of the robot's time (default: Ctrl-C)")
-    number("--port", "N", 0.0, 65535.0, 0.0, whole=True, help="of the page on this machine (default: a free one)")
-    add("--no-page", dest="page", action="store_false", help="no page")
-    add("--estimates", metavar="FILE", type=Path, help="CSV file for every estimate, written at once")
     return p
 
 

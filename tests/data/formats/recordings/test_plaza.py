@@ -60,7 +60,7 @@ def test_the_command_writes_a_log_of_one_sensor_of_ranges(tmp_path, capsys, refu
     log = load_folder(tmp_path / "plaza")
     assert (log.recorded.sensor.name, log.recorded.sensor.label, log.labels_are_sensed) == ("range", "radio", True)
     assert log.recorded.observations.R[0].tolist() == [[9.0, 0.0], [0.0, 1.0]]
-    assert "--range-scale 0: a number above 0 is needed" in refused(
+    assert "--range-scale 0: a number from 1e-06 to 1000 is needed" in refused(
         main, ["plaza", "2", str(tmp_path / "plaza"), "--range-scale", "0"]
     )
 
