@@ -104,6 +104,8 @@ def topics_of(path: Path) -> tuple[Topic, ...]:
             elif c.msgtype not in reader.typestore.fielddefs:
                 role, why = Role.NOTHING, "the bag does not define this type"
             count = c.msgcount + (known.count if known is not None else 0)
+            if not count and reader.message_count:
+                role, why = Role.NOTHING, "no message"
             found[c.topic] = Topic(c.topic, c.msgtype, count, role, why)
         if not all(isinstance(word, str) for t in found.values() for word in (t.name, t.kind)):
             raise TypeError("a topic or its type is no text")  # metadata may hold a date; `opened` says it in a line

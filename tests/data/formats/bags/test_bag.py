@@ -206,7 +206,8 @@ def test_the_list_says_what_each_topic_becomes_and_writes_nothing(maker, tmp_pat
     maker.bare_pose(1.0, (0.0, 0.0, 0.0))
     maker.odometry(1.0, (0.0, 0.0, 0.0), "/visual_odom")
     maker._send(1.0, "/cmd_vel", "geometry_msgs/msg/Twist")
-    bag = maker.save(tmp_path)
+    maker.empty = [("/odometry/filtered", "nav_msgs/msg/Odometry"), ("/scan", "sensor_msgs/msg/LaserScan")]
+    bag = maker.save(tmp_path).rename(tmp_path / "small.bag")  # as a user may name a folder of ROS 2
     assert main(["bag", str(bag), "--list", "--odom", "/odom"]) == 0
     said = {line.split()[0]: " ".join(line.split()[4:]) for line in capsys.readouterr().out.splitlines()}
     assert main(["bag", str(bag), "--list"]) == 0  # which odometry is not said: both are listed
@@ -217,11 +218,13 @@ def test_the_list_says_what_each_topic_becomes_and_writes_nothing(maker, tmp_pat
         "/gps": "position fixes",
         "/mocap": "- (--truth /mocap makes it the truth)",
         "/odom": "odometry",
+        "/odometry/filtered": "- (no message)",
+        "/scan": "- (no message)",
         "/tf_static": "transforms",
         "/visual_odom": "- (--odom /odom is used; --truth /visual_odom makes it the truth, --second-odom /visual_odom "
         "closures)",
     }
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["small"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["small.bag"]
 
 
 def test_detections_that_nothing_mounts_on_the_robot_are_left_out_and_said(maker, tmp_path):
