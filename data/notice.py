@@ -77,6 +77,8 @@ class Code(StrEnum):
     CHAIN_WIDENED = "chain-widened", INFO
     CLOSURES_REFUSED = "closures-refused", WARNING
     DOUBLED_WALLS = "doubled-walls", WARNING
+    WAY_UNOBSERVED = "way-unobserved", WARNING
+    WAY_BY_ODOMETRY = "way-by-odometry", INFO
     BEYOND_CLAIMS = "beyond-claims", WARNING
     CORNERS = "corners", INFO
     READ_FROM = "read-from", INFO

@@ -45,8 +45,9 @@ POSES, MARKERS = "geometry_msgs/msg/PoseArray", "visualization_msgs/msg/MarkerAr
 CAMERA = "sensor_msgs/msg/CameraInfo"
 BOXES, FLAT_BOXES = "vision_msgs/msg/Detection3DArray", "vision_msgs/msg/Detection2DArray"
 TAGS, FLAT_TAGS = "apriltag_ros/msg/AprilTagDetectionArray", "apriltag_msgs/msg/AprilTagDetectionArray"
-STANDARD = frozenset({POSITION, INERTIAL, POSE, *PLACES, POSES, MARKERS, CAMERA})
-"""Types that a bag need not define, besides those of a laser log."""
+TABLES = ("sensor_msgs/msg/JointState", "sensor_msgs/msg/Range", "geometry_msgs/msg/Twist")
+STANDARD = frozenset({POSITION, INERTIAL, POSE, *PLACES, POSES, MARKERS, CAMERA, *TABLES})
+"""Types that a bag need not define, besides those of a laser log; some are read as tables alone."""
 
 
 class Role(StrEnum):
@@ -104,6 +105,8 @@ def topics_of(path: Path) -> tuple[Topic, ...]:
             elif c.msgtype not in reader.typestore.fielddefs:
                 role, why = Role.NOTHING, "the bag does not define this type"
             count = c.msgcount + (known.count if known is not None else 0)
+            if not count and reader.message_count:
+                role, why = Role.NOTHING, "no message"
             found[c.topic] = Topic(c.topic, c.msgtype, count, role, why)
         if not all(isinstance(word, str) for t in found.values() for word in (t.name, t.kind)):
             raise TypeError("a topic or its type is no text")  # metadata may hold a date; `opened` says it in a line
@@ -407,6 +410,9 @@ def table_of(path: Path, topic: str) -> tuple[tuple[str, ...], list[tuple[str, .
         if not there:
             named = ", ".join(sorted({c.topic for c in reader.connections}))
             raise DataError.at(path, f"no topic {topic}; it has {named}")
+        if (kind := there[0].msgtype) not in reader.typestore.fielddefs:
+            what = f"{topic}: the bag does not define {kind}; where it is installed, ros2 bag convert to mcap adds it"
+            raise DataError.at(path, what)
         for c, recorded, raw in reader.messages(there):
             message = reader.deserialize(raw, c.msgtype)
             rows.append({"t": ros.stamp_of(message, 1e-9 * recorded)} | _numbers(message, ""))

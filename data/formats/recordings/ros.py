@@ -75,7 +75,7 @@ def files_of(path: Path) -> list[Path]:
     metadata, found = folder / METADATA, sorted(f for f in folder.iterdir() if f.suffix in SUFFIXES[1:])
     text = metadata.read_text("utf-8", "replace") if metadata.is_file() else ""
     named = "rosbag2_bagfile_information" in text and (not found or any(f.name in text for f in found))
-    return [folder] if named else found
+    return [folder] if named and folder.suffix not in SUFFIXES else found
 
 
 SUFFIXES, METADATA = (".bag", ".mcap", ".db3"), "metadata.yaml"

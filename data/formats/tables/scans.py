@@ -262,8 +262,9 @@ def _alone(file: TextTable, rows: int) -> tuple[int, dict[str, str]] | None:
     stamped = before and not (len(values) == rows and values[0, 0] in (0.0, 1.0) and (step == 1.0).all())
     apart = np.median(np.abs(np.diff(values[:, before:])), axis=0)  # of neighbours, which are alike
     ends = max(apart[:FEWEST].max(), apart[-FEWEST:].max())
-    fine = (values[:, before:] >= 0.0).all() and ends <= apart[FEWEST:-FEWEST].max()
+    fine = (values[:, before:] >= 0.0).all() and ends <= ALIKE_ENDS * apart[FEWEST:-FEWEST].max()
     return (int(before), {"scans.t": "1"} if stamped else {}) if fine and (stamped or len(values) == rows) else None
 
 
+ALIKE_ENDS = 2.0  # Times as far apart as other neighbours the first and the last may be: walls ahead, seen obliquely
 FEWEST = 8  # Least steps forward that no ranges make; columns at both ends that are compared with the others

@@ -5,6 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from data.formats.recordings.laser import laser_inputs, without_odometry
+from data.inputs import Scans
+from data.log import Log
 from data.notice import Code
 from data.result import Trajectory
 from data.se2 import between
@@ -14,6 +17,7 @@ from eval.judgement.judgement import Cause, Verdict, decided, judge
 from eval.judgement.runs import Objection
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
+from tests.wings.laser.scans.rooms import CORRIDOR, ROOM, SCANNER, scan
 from wings.laser.score import faults
 
 
@@ -79,6 +83,30 @@ def test_the_headline_names_no_path_where_walls_are_doubled(trial):
     assert facts.verdict is Verdict.NEITHER
     assert facts.objections[0].objection is Objection.CONVENTION
     assert facts.log_faults.conventions[0].code is Code.DOUBLED_WALLS
+
+
+@pytest.mark.parametrize(
+    ("walls", "alone", "named", "verdict"),
+    [
+        (CORRIDOR, False, {Code.WAY_BY_ODOMETRY}, Verdict.UNKNOWN),
+        (CORRIDOR, True, {Code.WAY_UNOBSERVED}, Verdict.NEITHER),
+        (ROOM, False, set(), Verdict.UNKNOWN),
+        (ROOM, True, set(), Verdict.UNKNOWN),
+    ],
+)
+def test_along_bare_walls_odometry_tells_the_way_or_no_path_is_trusted(walls, alone, named, verdict):
+    scanner = replace(SCANNER, max_range=8.0)
+    true = np.stack([np.linspace(-2.0, 1.0, 50), np.zeros(50), np.zeros(50)], axis=1)
+    ranges = np.array([scan(pose, walls, scanner) for pose in true])
+    ranges += np.where(ranges > 0.0, np.random.default_rng(0).normal(0.0, 0.01, ranges.shape), 0.0)
+    ranges[:, 20:26] = 0.8  # parts of the robot, which go along
+    inputs = laser_inputs(true, 0.2 * np.arange(50), Scans(scanner, np.arange(50), ranges))
+    log = Log("walls", without_odometry(inputs) if alone else inputs, Truth())
+    seen = Trial(log, "slam", tuple(compare(log.recorded, "slam", ["ekf", "isam2"], "scan")))
+    assert codes(seen) == named
+    assert judge(seen).verdict is verdict
+    if verdict is not Verdict.NEITHER:
+        assert np.ptp(seen.runs[1].last[:, 0]) == pytest.approx(3.0, abs=0.1)
 
 
 @pytest.mark.parametrize(("share", "named"), [(0.7, set()), (0.95, {Code.CLOSURES_REFUSED})])

@@ -114,6 +114,7 @@ class LaserRun(Run):
     key_pose: Array | None = None  # (K, 3) final estimate of all key poses; of a filter its last state
     weight: Array | None = None  # (L,) final weight of each loop closure; 0: left out, NaN: never accepted
     last: Array | None = None  # (N, 3) the path that belongs to `key_pose`; a smoother's final one
+    loose: BoolArray | None = None  # (N,) frames whose scan did not fix a direction, or did not fit
     scale: tuple[float, float] | None = None  # variance scale of scan matching and its standard error
 
     @property

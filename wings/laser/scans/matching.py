@@ -2,7 +2,7 @@
 
 Correlative matching gives the best pose of a whole window (Olson 2009b; Hess et al. 2016). Point-to-line matching has
 robust residuals and a robust motion prior (Censi 2008; Cauchy weights by IRLS), with a grid of the nearest reference
-point of each cell instead of a search.
+point of each cell instead of a search. Along walls that nothing crosses the prior alone counts (Zhang et al. 2016).
 """
 
 import math
@@ -219,6 +219,12 @@ def _draw(index: NDArray[np.int32], distance: NDArray[np.float32], xy: Array, ha
 SAME_SIDE = 0.5  # smallest cosine between normals of one surface (60 degrees), which excludes the other side of a wall
 WIDE, NARROW = 0.3, 0.03  # m, Cauchy scale of the first and of later iterations: converge, then weight good pairs
 ITERATIONS = 30
+FIXED = 0.01
+"""Mean of the squared parts of the normals along a direction, below which they do not fix it: they are noise, or parts
+of the robot in its own view. Simulated bare walls have 0.0001 to 0.0024 (ranges noisy by 1 to 3 cm), a real corridor
+0.004 to 0.008, far end walls 0.024 and more, rooms 0.03 to 0.5. With half and twice as much a recorded path of 31.9 m
+becomes 32.0 and 32.1 m (29.7 without), and the mean error of the Intel log is 0.0185 m alike.
+"""
 SMALL_STEP = 1e-5  # m and rad: a smaller step ends the iterations; a hundredth of the standard deviation of a match
 
 
@@ -236,30 +242,34 @@ class Match(NamedTuple):
     covariance: Array  # (3, 3) of its additive error, unscaled: from the Hessian, points independent with `sigma`
     cost: float  # robust cost of the points alone per point, at most 1; smaller is better
     share: float  # of the scan's points, those with a partner nearer than twice `NARROW` across its surface
+    least: float = 1.0  # mean square of the points' normals along the direction that they fix least
 
 
 def match(
-    points: Points, reference: Reference, start: Array, prior: MotionPrior, sigma: float, prior_scale: float
-) -> Match:
+    points: Points, reference: Reference, start: Array, prior: MotionPrior, sigma: float, prior_scale: float,
+    least: float = FIXED,
+) -> Match:  # fmt: skip
     """Match a scan's points to a reference from a start pose (3,): the least sum of Cauchy losses of point-to-line
-    distances (`sigma` [m]) and of the prior's Mahalanobis distance (scale `prior_scale` sigmas).
+    distances (`sigma` [m]) and of the prior's Mahalanobis distance (scale `prior_scale` sigmas). Along a direction that
+    the points fix less than by `least` the prior alone counts.
     """
-    pose, hessian, cost, share = _match(points, reference, start, prior, sigma, prior_scale)
+    pose, hessian, cost, share, fixed = _match(points, reference, start, prior, sigma, prior_scale, least)
     pose[2] = wrap_angle(float(pose[2]))
-    return Match(pose, np.asarray(np.linalg.inv(hessian), np.float64), cost, share)
+    return Match(pose, np.asarray(np.linalg.inv(hessian), np.float64), cost, share, fixed)
 
 
 @njit
 def _match(
-    points: Points, reference: Reference, start: Array, prior: MotionPrior, sigma: float, prior_scale: float
-) -> tuple[Array, Array, float, float]:
+    points: Points, reference: Reference, start: Array, prior: MotionPrior, sigma: float, prior_scale: float,
+    least: float,
+) -> tuple[Array, Array, float, float, float]:  # fmt: skip
     xy, normal = points
     r_xy, r_normal, index, half = reference
     mean, information = prior
     x, y, theta = start[0], start[1], start[2]
     side = len(index)
     H, b, d, J, step = np.zeros((3, 3)), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
-    cost, inliers = 0.0, 0
+    cost, inliers, fixed = 0.0, 0, 0.0
     scale = WIDE
     for iteration in range(ITERATIONS + 1):
         c, s = math.cos(theta), math.sin(theta)
@@ -297,6 +307,7 @@ def _match(
                 b[p] -= w * e * J[p]
                 for q in range(3):
                     H[p, q] += w * J[p] * J[q]
+        fixed = _loosened(H, b, least)
         d[0], d[1] = x - mean[0], y - mean[1]
         d[2] = theta - mean[2]
         d[2] -= 2.0 * math.pi * math.ceil((d[2] - math.pi) / (2.0 * math.pi))
@@ -320,7 +331,27 @@ def _match(
         elif size < SMALL_STEP:
             break
     step[0], step[1], step[2] = x, y, theta
-    return step, H, cost / max(len(xy), 1), inliers / max(len(xy), 1)
+    return step, H, cost / max(len(xy), 1), inliers / max(len(xy), 1), fixed
+
+
+@njit
+def _loosened(H: Array, b: Array, least: float) -> float:
+    """Of H x = b of points, the mean square of normals along the direction of translation that they fix least, with the
+    turn that fits best: its eigenvalue. Below `least` what H and b say along it is taken from them.
+    """
+    total, turn = max(H[0, 0] + H[1, 1], 1e-300), max(H[2, 2], 1e-300)
+    kx, ky = H[0, 2] / turn, H[1, 2] / turn
+    xx, xy, yy = H[0, 0] - kx * H[0, 2], H[0, 1] - kx * H[1, 2], H[1, 1] - ky * H[1, 2]
+    low = 0.5 * (xx + yy) - math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+    if low < least * total:
+        along = 0.5 * math.atan2(-2.0 * xy, yy - xx)
+        v = (math.cos(along), math.sin(along))
+        told = v[0] * (b[0] - kx * b[2]) + v[1] * (b[1] - ky * b[2])
+        for p in range(2):
+            b[p] -= told * v[p]
+            for q in range(2):
+                H[p, q] -= low * v[p] * v[q]
+    return float(low / total)
 
 
 @njit

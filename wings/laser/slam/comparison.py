@@ -125,5 +125,5 @@ def _run(inputs: Inputs, front: FrontEndResult, solved: Solved) -> LaserRun:
     final = None if run.final is None else replace(run.final, pose=last)
     return _laser_run(
         replace(run, seconds=run.seconds + float(front.seconds.sum()), final=final), chain=chain, loops=front.loops,
-        frame_seconds=front.seconds, key_pose=solved.final_keys, weight=solved.weight, last=last,
+        loose=front.loose, frame_seconds=front.seconds, key_pose=solved.final_keys, weight=solved.weight, last=last,
     )  # fmt: skip

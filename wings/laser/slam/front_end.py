@@ -11,7 +11,7 @@ import numpy as np
 
 from data.formats.recordings.laser import time_steps
 from data.inputs import Increments, Inputs
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 from wings.laser.scans.constraints import Chain, Consistency, Loops, consistency
 from wings.laser.scans.uncertainty import learned_scale, residuals, spanned
 from wings.laser.slam.backends import key_inputs, smoothed
@@ -28,6 +28,7 @@ class FrontEndResult:
     online: Array  # (N, 3) online world pose of each frame
     seconds: Array  # (N,) wall time of each frame: matching, loops and graph
     keys: Array  # (K, 3) all key poses in the end
+    loose: BoolArray  # (N,) frames whose scan did not fix a direction, or did not fit
 
 
 def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult:
@@ -46,7 +47,7 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
 
     key = np.zeros(count, np.int64)
     since, since_covariance = np.zeros((count, 3)), np.zeros((count, 3, 3))
-    online, seconds = np.zeros((count, 3)), np.zeros(count)
+    online, seconds, loose = np.zeros((count, 3)), np.zeros(count), np.zeros(count, np.bool_)
     for frame in range(count):
         began = time.perf_counter()
         increment = inputs.increment(frame) if frame else None
@@ -54,12 +55,13 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
         online[frame] = slam.step(increment, ranges, float(step[frame]))
         key[frame] = len(slam.frames) - 1
         since[frame], since_covariance[frame] = slam.tracker.pose, slam.tracker.covariance
+        loose[frame] = slam.tracker.loose
         seconds[frame] = time.perf_counter() - began
     if slam.waits:
         slam.update()
     motions, covariances = np.array(slam.motions), np.array(slam.covariances)
     chain = Chain(np.array(slam.frames), motions, covariances, key, since, since_covariance)
-    return FrontEndResult(chain, slam.closer.loops(), online, seconds, slam.poses)
+    return FrontEndResult(chain, slam.closer.loops(), online, seconds, slam.poses, loose)
 
 
 def is_unknown(increments: Increments) -> bool:

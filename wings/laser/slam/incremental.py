@@ -14,7 +14,7 @@ import numpy as np
 from data.inputs import Increment, IntArray, Prior, Scanner
 from data.se2 import Array, between, compose, pose_error, wrap_angle
 from wings.laser.pose_graph import PoseGraph
-from wings.laser.scans.matching import Match, MotionPrior, NearestGrid, Pyramid, best_pose, match, pyramid
+from wings.laser.scans.matching import FIXED, Match, MotionPrior, NearestGrid, Pyramid, best_pose, match, pyramid
 from wings.laser.scans.points import FEWEST_BEAMS, Points, beams_of, joined, scan_points
 from wings.laser.scans.uncertainty import compose_covariances
 from wings.laser.slam.closures import LoopCloser
@@ -84,6 +84,7 @@ class Tracker:
         self.sigma = parameters.distance_sigma(sigma)
         self.pose, self.covariance = np.zeros(3), np.zeros((3, 3))
         self.surprise = 0.0  # chi-square (3 dof) of the last match against odometry
+        self.loose = False  # whether the frame's scan does not fix a direction, as along bare walls, or does not fit
         self._grid = NearestGrid(parameters.max_range + 2.0)
         self._keys: list[Points] = []
         self._matched = np.zeros(3)
@@ -99,12 +100,13 @@ class Tracker:
         self.pose = compose(self.pose, motion)
         self.pose[2] = wrap_angle(float(self.pose[2]))
         self._travel = self._travel.plus(motion, seconds)
+        self.loose = False
 
     def correct(self, points: Points) -> bool:
         """Match the frame's scan; returns False if it does not fit and the prediction is kept. Of the matches from
         several starts the one is kept whose cost and contradiction of odometry are least.
         """
-        self.surprise = 0.0
+        self.surprise, self.loose = 0.0, len(self._keys) > 0
         if not self._keys or len(points.xy) == 0:
             return False
         again = repeated(self._motion, self._travelled, self._travel)
@@ -117,6 +119,7 @@ class Tracker:
             fits = best.share >= self.parameters.loop_share and self._chi2(best, prior) < NARROW_GATE
             if fits:
                 self.pose, self.covariance = best.pose, best.covariance
+                self.loose = best.least < FIXED
             return fits
         way = self._travel  # slip: standard deviation (3,) [m, m, rad] of odometry's error if the wheels slip
         slip = LEAST + PER_METRE * way.distance + PER_RADIAN * way.turn + PER_SECOND * min(way.seconds, LONGEST)
@@ -144,13 +147,15 @@ class Tracker:
         self.surprise = self._chi2(best, prior)
         self._slipped = self.surprise > SURPRISE
         self._motion = between(self._matched, best.pose)
-        self.pose, self.covariance = best.pose, best.covariance
+        self.pose, self.covariance, self.loose = best.pose, best.covariance, best.least < FIXED
         self._matched, self._cost = best.pose, best.cost
         self._travelled, self._travel = self._travel, Travel()
         return True
 
     def _match(self, points: Points, start: Array, prior: MotionPrior, scale: float | None = None) -> Match:
-        return match(points, self._reference, start, prior, self.sigma, scale or self.parameters.prior_scale)
+        """Without odometry what little crosses the walls is all that tells the way along them."""
+        least, scale = 0.0 if self.steady else FIXED, scale or self.parameters.prior_scale
+        return match(points, self._reference, start, prior, self.sigma, scale, least)
 
     def _chi2(self, found: Match, prior: MotionPrior) -> float:
         error = pose_error(found.pose, prior.mean)

@@ -2,6 +2,7 @@
 
 import math
 import re
+import sqlite3
 from pathlib import Path
 from types import SimpleNamespace as Message
 from typing import Any
@@ -19,6 +20,7 @@ from data.sensors import Bearing, Range, RangeBearing, RelativePoint
 from tests.data.formats.bags.made import START, Full
 
 TIMES, POINT = np.arange(0.0, 4.01, 0.5), "apriltag_msgs/msg/Point"
+JOINTS = "sensor_msgs/msg/JointState"
 
 
 @pytest.fixture
@@ -206,7 +208,8 @@ def test_the_list_says_what_each_topic_becomes_and_writes_nothing(maker, tmp_pat
     maker.bare_pose(1.0, (0.0, 0.0, 0.0))
     maker.odometry(1.0, (0.0, 0.0, 0.0), "/visual_odom")
     maker._send(1.0, "/cmd_vel", "geometry_msgs/msg/Twist")
-    bag = maker.save(tmp_path)
+    maker.empty = [("/odometry/filtered", "nav_msgs/msg/Odometry"), ("/scan", "sensor_msgs/msg/LaserScan")]
+    bag = maker.save(tmp_path).rename(tmp_path / "small.bag")  # as a user may name a folder of ROS 2
     assert main(["bag", str(bag), "--list", "--odom", "/odom"]) == 0
     said = {line.split()[0]: " ".join(line.split()[4:]) for line in capsys.readouterr().out.splitlines()}
     assert main(["bag", str(bag), "--list"]) == 0  # which odometry is not said: both are listed
@@ -217,11 +220,13 @@ def test_the_list_says_what_each_topic_becomes_and_writes_nothing(maker, tmp_pat
         "/gps": "position fixes",
         "/mocap": "- (--truth /mocap makes it the truth)",
         "/odom": "odometry",
+        "/odometry/filtered": "- (no message)",
+        "/scan": "- (no message)",
         "/tf_static": "transforms",
         "/visual_odom": "- (--odom /odom is used; --truth /visual_odom makes it the truth, --second-odom /visual_odom "
         "closures)",
     }
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["small"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["small.bag"]
 
 
 def test_detections_that_nothing_mounts_on_the_robot_are_left_out_and_said(maker, tmp_path):
@@ -256,12 +261,22 @@ def test_one_line_says_what_is_wrong(maker, convert, tmp_path, add, words, said)
     assert re.search(said.replace("(", r"\("), found)
 
 
-def test_numbers_of_a_topic_are_a_table(maker, convert, tmp_path):
-    """Of any type; the same bag's odometry is the truth."""
+@pytest.mark.parametrize(("kind", "names"), [(POINT, "v=x,omega=y"), (JOINTS, "v=velocity_1,omega=velocity_2")])
+def test_numbers_of_a_topic_are_a_table(maker, convert, tmp_path, kind, names):
+    """Of any type, of joints also where the bag does not define it; the same bag's odometry is the truth."""
     for t in TIMES:
-        maker._send(t, "/wheels", POINT, x=0.5, y=0.2)
+        maker._send(
+            t, "/wheels", kind, **{"velocity": np.array([0.5, 0.2])} if kind == JOINTS else {"x": 0.5, "y": 0.2}
+        )
+    maker.form = "sqlite" if kind == JOINTS else maker.form
+    maker._send(1.0, "/other", "nav_msgs/msg/GridCells")
     bag = maker.save(tmp_path)
-    names = "v=x,omega=y,truth.x=pose.pose.position.x,truth.y=pose.pose.position.y"
+    for file in bag.glob("*.db3"):  # as in bags of ROS 2 until 2023
+        with sqlite3.connect(file) as rows:
+            rows.execute("delete from message_definitions")
+    said = convert({}, "table", f"{bag}:/other", "out", status=2)
+    assert ("does not define nav_msgs/msg/GridCells" in said) == (kind == JOINTS)
+    names += ",truth.x=pose.pose.position.x,truth.y=pose.pose.position.y"
     log, _ = convert({}, "table", f"{bag}:/wheels", "out", "--truth", f"{bag}:/odom", "--columns", names)
     step = float(np.diff(TIMES)[0])
     assert log.recorded.time - START == pytest.approx(TIMES)

@@ -112,6 +112,10 @@ def test_names_units_and_keys_of_a_scanner(read, names, numbers):
 def test_scans_without_names_alone_or_behind_row_numbers_or_stamps_are_known(read, unread):
     far = [line.rsplit(",", 1)[0] for line in scans(named=False).splitlines()]
     files = {"odo.csv": "\n".join(ODOMETRY.splitlines()[:21])}
+    ahead = np.abs(np.diff([list(map(float, line.split(","))) for line in far])).mean(axis=0).max()
+    oblique = [f"{float(line.partition(',')[0]) + 1.5 * ahead},{line.partition(',')[2]}" for line in far]
+    said = read(files | {"scan.csv": "\n".join(oblique)}, "--scans", "scan.csv", "--scanner=-180deg,10deg,20")[1]
+    assert "inferred: --columns scans.range=1" in said, "a wall that the outer beams meet"
     for told, before in (("range=1", ""), ("range=2", "{},"), ("t=1,scans.range=2", "17000000{:02d}.25,")):
         files["scan.csv"] = "\n".join(before.format(k) + line for k, line in enumerate(far))
         log, said = read(files, "--scans", "scan.csv", "--scanner=-180deg,10deg,20")

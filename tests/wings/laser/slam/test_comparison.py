@@ -88,7 +88,7 @@ def test_with_enough_loop_closures_every_estimator_gets_the_scale_and_no_pose_mo
     given = runs["batch"]
     assert (given.loops.believed >= 0).sum() < FEWEST
     assert given.scale is None, "with few no scale is learned"
-    front = FrontEndResult(given.chain, given.loops, given.last, given.frame_seconds, given.key_pose)
+    front = FrontEndResult(given.chain, given.loops, given.last, given.frame_seconds, given.key_pose, given.loose)
     monkeypatch.setattr(front_end, "consistent_front_end", lambda inputs, parameters: (front, None))
     monkeypatch.setattr(front_end, "FEWEST", 1)
     filtered, smoothed, dead = compare(log.recorded, "slam", ["ekf", "batch", "dead-reckoning"], "scan")

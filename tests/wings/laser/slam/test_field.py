@@ -73,7 +73,7 @@ def test_in_halls_of_equal_rows_no_loop_closure_is_wrong(panes):
     assert believed.sum() > 100
     assert right_closures(run.loops, log.truth.pose[run.chain.frame])[believed].all()
     assert aligned_rmse(run.last, log.truth.pose) < 0.03
-    assert not faults(Trial(log, "slam", (run,)))
+    assert {n.code for n in faults(Trial(log, "slam", (run,)))} <= {Code.WAY_BY_ODOMETRY}
 
 
 @pytest.mark.slow

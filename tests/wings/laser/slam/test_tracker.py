@@ -60,7 +60,7 @@ class Made:
         self.tracker = Tracker(LaserParameters(), 0.01)
         self.tracker.make_key(POINTS)
 
-    def match(self, points, reference, start, prior, sigma, scale):
+    def match(self, points, reference, start, prior, sigma, scale, least):
         pose, cost, share = self.given[len(self.asked)]
         self.asked.append((np.array(start), scale))
         return Match(np.array(start if pose is None else pose, float), 1e-6 * np.eye(3), cost, share)

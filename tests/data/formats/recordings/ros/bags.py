@@ -28,6 +28,7 @@ class Maker:
         if self.old:
             self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
         self.messages: list[tuple[float, str, str, Any]] = []
+        self.empty: list[tuple[str, str]] = []  # topics without a message, and their types
 
     def _of(self, kind: str, *values: Any, **named: Any) -> Any:
         return self.store.types[kind](*values, **named)
@@ -108,7 +109,7 @@ class Maker:
         if compression:
             writer.set_compression(*compression)
         with writer:
-            connections: dict[str, Any] = {}
+            connections: dict[str, Any] = {t: writer.add_connection(t, k, typestore=self.store) for t, k in self.empty}
             for at, topic, kind, message in sorted(self.messages, key=lambda m: m[0]):
                 if topic not in connections:
                     connections[topic] = writer.add_connection(topic, kind, typestore=self.store)
