@@ -120,9 +120,7 @@ class WallObservation(factors.ObservationFactors):
 
 
 def _body_point(sensor: Sensor, z: Array, R: Array) -> Array:
-    """The point (2,) of the body whose distance from the wall is independent of the error of the direction. For
-    independent errors it is the sensor's position, for others one along the wall from there.
-    """
+    """The body's point (2,) whose distance from the wall is independent of the direction's error."""
     rotation, tx, ty = sensor.extrinsic.tolist()
     c, s = math.cos(rotation), math.sin(rotation)
     phi, off = float(z[1]) - rotation, float(R[0, 1] / R[1, 1])

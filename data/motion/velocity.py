@@ -98,9 +98,7 @@ def _preintegrate(
     model: int, lateral: bool, time: Array, v: Array, omega: Array, rate: Array, hold: Array, beyond: Array,
     lead: float, fastest: Array, at: Array, mean: Array, cov: Array,
 ) -> None:  # fmt: skip
-    """Loop of `preintegrate`; rate (K, 3): variances per second of D, A and the final rotation; hold, beyond (K,): s
-    that sample k lasts, and of the gap after it; lead: s before the first; fastest (2,): largest |v|, |omega|.
-    """
+    """Loop of `preintegrate`; rate (K, 3): variances per s of D, A, final turn; hold (> K,), lead [s]; fastest (2,)."""
     n, k = len(time), 0
     step_mean, G, Q = np.empty(3), np.empty((3, 2)), np.empty((3, 3))
     for f in range(1, len(at)):

@@ -287,9 +287,7 @@ def _by_size(x: Examination) -> list[Explained]:
 
 
 def _minutes(c: Case) -> list[Explained]:
-    """Velocities over stamps in minutes, whose rows follow each other too fast: what is seen changes 60 times as much
-    as they predict. It is compared over seconds of such a clock.
-    """
+    """Velocities over stamps in minutes: rows too fast, and what is seen changes 60 times as much as they predict."""
     if not c.stamped or c.kind != "velocities" or len(c.z) < FEWEST or np.median(np.diff(c.time)) > FAST:
         return []
     slower = replace(c, time=60.0 * c.time, at=60.0 * c.at, truth_time=60.0 * c.truth_time)
@@ -423,9 +421,7 @@ same numbers is the same one, and no robot that stands still."""
 
 
 def _headings(x: Examination, *, explained: bool) -> list[Explained]:
-    """True headings that never change, though the odometry turns; or, if nothing is `explained`, change otherwise,
-    though the robot moves as far as the odometry says.
-    """
+    """True headings that never change though odometry turns; or, if nothing is `explained`, change otherwise."""
     c, witness = x.case, witnesses.BY_TRUTH
     if c.truth is None or np.ptp(c.odometry[:, 2]) < 1.0 or len(fits := x.said[witness]) < 2 or fits[1] is None:
         return []

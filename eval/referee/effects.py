@@ -178,9 +178,7 @@ def _less(poses: Array, off: Array) -> Array:
 
 
 def _delayed(inputs: Inputs, delay: float, growth: float) -> Array:
-    """What a delay [s] that grows [s/s] does to observations (M, 2) of points: they are of an earlier pose. The motion
-    in the meantime is that of odometry, as a smoothed path bends to late observations.
-    """
+    """Effect of a delay [s] that grows [s/s] on observations (M, 2) of points: they are of an earlier pose."""
     o, sensor = inputs.observations, inputs.sensor
     if not len(o.frame) or (delay == 0.0 and growth == 0.0):
         return np.zeros((len(o.frame), 2))

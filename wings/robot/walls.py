@@ -151,9 +151,7 @@ def _distances(sensors: Array, ranges: Array, rho: float | Array, alpha: float |
 
 
 def _repeated_median(sensors: Array, ranges: Array) -> tuple[float, float]:
-    """Rho and alpha of a line that tolerates half of the readings as outliers (Siegel 1982). Slopes are taken across
-    the sonars' mean axis. Echoes are placed on their axes first, then by the line found.
-    """
+    """Rho, alpha of a line with half the readings outliers (Siegel 1982); echoes on the axes, then by the line."""
     axis = math.atan2(float(np.sin(sensors[:, 2]).sum()), float(np.cos(sensors[:, 2]).sum()))
     c, s = math.cos(axis), math.sin(axis)
     laid: float | Array = sensors[:, 2]

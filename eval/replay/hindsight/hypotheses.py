@@ -240,9 +240,7 @@ class Hypotheses:
         return z_hat, HPHt
 
     def _join(self, z: Array, R: Array) -> None:
-        """Make uncertain landmarks that an observation may be paired with states of all hypotheses (`ekf.localizer`).
-        Others leave, and begin again with their places in the map: those twice as far away as can be seen.
-        """
+        """Make uncertain landmarks that may be paired states of all hypotheses; those out of reach leave again."""
         assert self.map.sigma is not None
         wanted = np.zeros(len(self._at), np.bool_)
         for h in self.members:

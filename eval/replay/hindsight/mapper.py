@@ -162,9 +162,7 @@ class Kidnapping:
         return Relocated(jcbb_conditional(few, self.setup.gate, self.setup.new_gate)[0], None, kidnapped)
 
     def _alarm(self, seen: int, paired: int) -> bool:
-        """Whether this frame raises the alarm; `seen`: observations, `paired`: with confirmed landmarks. Missed
-        detections count by their log-likelihood ratio, if several observations show that the sensor works.
-        """
+        """Whether this frame's missed and `paired` of `seen` observations raise the alarm."""
         if self._score == 0.0 and not self.lost:
             self._before = self.ledger.created
         missed = self.ledger.surprise() if seen >= constants.ALARM_OBSERVATIONS else 0.0
@@ -176,9 +174,7 @@ class Kidnapping:
         return True
 
     def _search(self, frame: Frame, known: LandmarkMap) -> tuple[IntArray, Array] | None:
-        """Decisions (m,) and pose (3,) of the frame if the scan has one place in the map. Landmarks initialized since
-        the trouble began are excluded: the scan would find itself.
-        """
+        """Decisions (m,), pose (3,) by the scan's only place in the map without landmarks begun since the trouble."""
         old = known.id < self._before
         rows = np.arange(frame.first, frame.first + len(frame.observations.z))
         self._scan = extended(self._scan, self.ledger.sensor, frame.observations, rows)

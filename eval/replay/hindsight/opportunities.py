@@ -142,9 +142,7 @@ def _codes(
     landmark: IntArray, found: BoolArray, behind: BoolArray, pose: Array, polar: Array, apart: float, ring: float,
     sides: int,
 ) -> IntArray:  # fmt: skip
-    """The opportunity (m,) of a landmark in sight, or found, from a pose (m, 3) in the polar place (m, 2); -1: it tells
-    nothing new. `ring`, `sides`: of the cells of viewpoints, see `cell`.
-    """
+    """The opportunity (m,) of a landmark from poses (m, 3) in polar places (m, 2); -1: nothing new."""
     m, codes = len(landmark), np.full(len(landmark), -1)
     if not m:
         return codes
@@ -236,9 +234,7 @@ def persistence(every: Sequence[Detections]) -> Persistence:
 
 
 def _rates(seen: Array, total: Array, weight: Array, a: Array, b: Array) -> tuple[Array, Array]:
-    """One step towards the likeliest beta distributions of detection probabilities, by viewpoint (4,). Fixed point of
-    Minka, Estimating a Dirichlet distribution (2000), for the beta-binomial distribution.
-    """
+    """A step of Minka (Estimating a Dirichlet distribution, 2000) to the likeliest beta distribution of a viewpoint."""
     psi = scipy.special.digamma
     out_of = weight @ (psi(a + b + total) - psi(a + b))
     detected, missed = weight @ (psi(a + seen) - psi(a)), weight @ (psi(b + total - seen) - psi(b))

@@ -289,9 +289,7 @@ class WholeLog:
         return None if odds < constants.PLAIN_ODDS else (_renamed(other, ours), odds)
 
     def _smooth(self, number: IntArray, path: Array, known: LandmarkMap, by: Assumed) -> Smoothed:
-        """Smooth observations of the landmarks (M,), from a path (N, 3) and a map, and re-associate them all. Landmarks
-        that are one are merged then, and all is smoothed again, while this makes the observations likelier.
-        """
+        """Smooth from a path (N, 3) and a map, re-associate, merge; again while observations become likelier."""
         places = np.full((int(known.id.max()) + 1, 2), np.nan)
         places[known.id] = known.xy
         best = self._smooth_once(number, Start(path, places), by)

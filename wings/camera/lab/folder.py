@@ -654,9 +654,7 @@ def open_lab(
 
 
 def _frames(log: LogFile) -> Iterator[VisualFrame]:
-    """The frames in SI units: colours uint8, points [m], NaN where stereo found none (three zeros, or not finite).
-    DataError names file, frame and field of a wrong value, or a log without any point.
-    """
+    """The frames in SI units: colours uint8, points [m], NaN without stereo. DataError names file, frame and field."""
     previous, seen, white = -np.inf, False, None
     first: NDArray[Any] | None = None
     for i, record in enumerate(log.records()):

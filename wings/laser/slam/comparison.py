@@ -62,9 +62,7 @@ def laser_runs(
 
 
 def _corner_log(inputs: Inputs, chain: Chain) -> Inputs:
-    """Key poses as frames of a landmark log: corners of their scans as observations (body frame), scan matching as
-    increments. It has no loop closures and no wheel odometry: loops are closed by re-observed corners.
-    """
+    """Key poses as a landmark log: corners as observations, scan matches as increments; no closures, no wheels."""
     scans = inputs.scans
     assert scans is not None
     covariance, floored = floor_covariances(chain.covariance, inputs.covariance_floor)
