@@ -45,6 +45,7 @@ EDGES = {
 SWITCHED = ("EDGE_SE2_SWITCHABLE", "EDGE_SE3_SWITCHABLE")
 IDS = {"EDGE_SE3_TRACKXYZ": 3, "EDGE_SE2_POINTXY_OFFSET": 3, "EDGE_SE2_OFFSET": 4, **dict.fromkeys(SWITCHED, 3)}
 """Ids of an edge and of its parameters, where these are not two."""
+BEARING, RANGE = "EDGE_BEARING_SE2_XY", "EDGE_RANGE_SE2_XY"
 IN_SPACE, POSE_IN_SPACE = "EDGE_SE3_PRIORXYZ", "EDGE_SE3_PRIOR"
 PRIORS = {"EDGE_PRIOR_SE2": (3, 3), "EDGE_PRIOR_SE2_XY": (2, 2), IN_SPACE: (3, 3), POSE_IN_SPACE: (7, 6)}  # as of edges
 OFFSETS = {"PARAMS_SE3OFFSET": 7, "PARAMS_SE2OFFSET": 3}
@@ -97,7 +98,11 @@ class GraphFile:
     priors: list[Edge] = field(default_factory=list)  # measured poses and positions, both ends the same
     noise: str = ""  # what text states, one of `NOISES`, or "" without text
     rows: bool = False  # EDGE2 are in the order of rows
-    alone: bool = False  # one pose has a line, and the others begin where the edges put them
+
+    @property
+    def alone(self) -> bool:
+        """Whether one pose has a line, and the others begin where the edges put them."""
+        return len(self.poses) == 1 and any(self.poses.keys() & set(e.ends) for e in self.edges)
 
     def kind(self, edge: Edge) -> tuple[str, str]:
         """Kinds of the variables at both ends."""
@@ -124,7 +129,8 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
     words = [(number, line.split("#")[0].split()) for number, line in enumerate(lines, start=1)]
     words = [(number, [known_tag(w[0]), *w[1:]]) for number, w in words if w]
     rows, meant = _layout(words)
-    graph = GraphFile(path, lines, {}, {}, [], [], {}, {}, noise=(noise or meant) if meant else "", rows=rows)
+    noise = (noise or meant) if meant else ""
+    graph = GraphFile(path, lines, {}, {}, [], [], {}, {}, noise=noise, rows=rows)
     for number, (tag, *fields) in words:  # before the edges that name them
         if tag in OFFSETS:
             (key,), values = _fields(path, number, tag, fields, 1, OFFSETS[tag])
@@ -164,30 +170,8 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
     turns = np.abs([e.measured[2] for e in graph.edges if graph.kind(e) == (POSE2, POSE2)])
     if 2 * (turns > 2.0 * math.pi).sum() > np.count_nonzero(turns):
         raise DataError.at(path, "turns of most edges exceed 2 pi, as in degrees; rad, in their noise too, are needed")
-    alone = bool(graph.edges) and len(graph.poses) == 1
-    if alone:
-        _begin(graph)
     _check(graph)
-    return replace(graph, alone=alone)
-
-
-def _begin(graph: GraphFile) -> None:
-    """Put poses in the plane without a line where edges from the one that has one do, in the order of the file."""
-    planar = next(iter(graph.poses.values()))[0] == POSE2
-    edges = [e for e in graph.edges if planar and graph.kind(e) == (POSE2, POSE2)]
-    while edges:
-        left = list[Edge]()
-        for e in edges:
-            (a, b), z = e.ends, e.measured
-            if a in graph.poses and b not in graph.poses:
-                graph.poses[b] = POSE2, compose(graph.poses[a][1], z)
-            elif b in graph.poses and a not in graph.poses:
-                graph.poses[a] = POSE2, compose(graph.poses[b][1], inverse(z))
-            elif a not in graph.poses:
-                left.append(e)
-        if len(left) == len(edges):  # not joined with it
-            return
-        edges = left
+    return graph
 
 
 def known_tag(tag: str) -> str:
@@ -213,13 +197,13 @@ def _six(fields: list[str]) -> Array:
 
 def _check(graph: GraphFile) -> None:
     """Raise DataError for ends that are missing or of two kinds."""
-    path = graph.path
+    path, listed = graph.path, bool(graph.poses) and not graph.alone
     kinds: dict[tuple[bool, int], str] = {(False, k): kind for k, (kind, _) in graph.poses.items()}
     kinds |= {(True, k): kind for k, (kind, _) in graph.points.items()}
     for edge in graph.edges:
         for key, kind in zip(edge.ends, graph.kind(edge), strict=True):
             point, what = kind in (POINT2, POINT3), ""
-            if graph.poses and not point and key not in graph.poses:
+            if listed and not point and key not in graph.poses:
                 what = f"vertex {key} is missing; each pose needs its line, or none has one"
             elif kinds.setdefault((point, key), kind) != kind:
                 what = f"{key} is a {kinds[point, key]}, where a {kind} is needed"
@@ -229,7 +213,7 @@ def _check(graph: GraphFile) -> None:
         where, kind = ("space", POSE3) if prior.tag in (IN_SPACE, POSE_IN_SPACE) else ("the plane", POSE2)
         if kinds.get((False, prior.ends[0])) != kind:
             raise DataError.at(path, f"prior of {prior.ends[0]}: no pose in {where} has this id", line=prior.line)
-    missing = next((key for key in graph.fixed if key not in graph.poses and key not in graph.points), None)
+    missing = next((key for key in graph.fixed if not kinds.keys() & {(False, key), (True, key)}), None)
     if missing is not None:
         raise DataError.at(path, f"FIX {missing}: vertex {missing} is missing")
 

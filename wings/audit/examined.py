@@ -100,6 +100,7 @@ class AuditReport:
     minima: tuple[Second, ...] = ()
     questions: tuple[Question, ...] = ()
     unread: tuple[str, ...] = ()
+    met: tuple[str, ...] = ()  # landmarks without a stated place that ranges or bearings alone see
     held: int = 0  # directions of the gauge that a fixed vertex ties
     optimized: bool = False  # whether the optimizer ran first
 

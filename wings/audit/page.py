@@ -14,9 +14,11 @@ from data.errors import UsageError
 from data.formats.graph_file import Edge, GraphFile, graph_file_of, read_graph_file, with_information
 from data.origin import Origin
 from data.se2 import Array
+from eval.replay.external.adapter import load
+from eval.replay.external.spec import settled
 from wings.audit.audit import DRAWS, LOG_FAMILY, TURNS, Audit, Told, examined, places, unheard
 from wings.audit.examined import AuditReport, Second, reported
-from wings.audit.files import EDGES, LAST_FIRST, build, built_by, optimized, other_starts, point_key, with_landmarks
+from wings.audit.files import EDGES, LAST_FIRST, across, build, optimized, other_starts, point_key, seen, with_landmarks
 from wings.audit.linear import Graph, Values, name, value_of
 
 LARGEST, SMALL = 6000, 2000  # factors up to which other starts are tried, and the graph is solved without a factor
@@ -55,6 +57,15 @@ def opened(
         return Opened(report, graph, values, None)
 
 
+def built_by(place: str) -> tuple[Graph, Values]:
+    """Graph and values that `FILE.py:FUNCTION` returns. Raises UsageError for anything else."""
+    made = load(settled("GRAPH", place, "maintenance")).thing()
+    match made:
+        case (gtsam.NonlinearFactorGraph() as graph, gtsam.Values() as values):
+            return graph, values
+    raise UsageError(f"{place} returned {type(made).__name__}; (NonlinearFactorGraph, Values) is needed")
+
+
 def _reported(a: Audit, graph: Graph, values: Values, resolve: int) -> AuditReport:
     return reported(a, graph, values, resolve if graph.size() <= SMALL else 0)
 
@@ -73,8 +84,10 @@ def _of_file(
     unread = tuple(f"{count} {tag}" for tag, count in file.other.items())
     minima = _minima(ends, graph, values, report)
     (fixed,) = file.fixed if len(file.fixed) == 1 and not file.priors else (None,)
-    held = 0 if fixed is None else values.dims().get(fixed if fixed in file.poses else point_key(fixed), 0)
-    return Opened(replace(report, minima=minima, unread=unread, held=held, optimized=optimize), graph, values, file)
+    held = 0 if fixed is None else values.dims().get(fixed if values.exists(fixed) else point_key(fixed), 0)
+    met = tuple(name(key) for key, some in seen(file).items() if some[0].ends[1] not in file.points)
+    report = replace(report, minima=minima, unread=unread, met=met, held=held)
+    return Opened(replace(report, optimized=optimize), graph, values, file)
 
 
 def rows_of(graph: Graph) -> int:
@@ -89,9 +102,9 @@ def _ends(file: GraphFile, graph: Graph, values: Values) -> dict[str, Values]:
     poor = BAD * max(rows_of(graph) - sum(values.dims().values()), 1)
     if graph.size() > LARGEST and 2.0 * graph.error(values) > FAR_OFF * poor:
         starts = other_starts(file, values)
-        name = min(starts, key=lambda start: graph.error(starts[start]), default="")
-        if name and FAR_OFF * graph.error(starts[name]) < graph.error(values):
-            return {name: optimized(graph, starts[name])}
+        near = min(starts, key=lambda start: graph.error(starts[start]), default="")
+        if near and FAR_OFF * graph.error(starts[near]) < graph.error(values):
+            return {near: optimized(graph, starts[near])}
     first, small = VERTICES if file.poses else EDGES, graph.size() <= LARGEST
     starts = {first: values} | (other_starts(file, values) if small else {})
     ends, least = dict.fromkeys(starts, values), np.inf
@@ -100,7 +113,7 @@ def _ends(file: GraphFile, graph: Graph, values: Values) -> dict[str, Values]:
         least = min(least, graph.error(ends[start]))
     if not small and 2.0 * least > poor:
         ends |= {start: optimized(graph, begin) for start, begin in other_starts(file, ends[first]).items()}
-    return ends
+    return ends | across(file, graph, min(ends.values(), key=graph.error))
 
 
 def _minima(ends: dict[str, Values], graph: Graph, ours: Values, report: AuditReport) -> tuple[Second, ...]:

@@ -8,6 +8,7 @@ import pytest
 from gtsam.symbol_shorthand import L, P, X
 
 import slamref
+from data import se2
 from data.errors import DataError
 from data.formats.graph_file import graph_file_of
 from tests.quick import slow
@@ -405,3 +406,28 @@ def test_factors_that_share_one_test_are_named_together_and_none_of_them_is_blam
     found = solved(graph, values).words()
     assert "One of 30 factors is wrong, and nothing tells which" in found
     assert "contradicts all others most" not in found
+
+
+@pytest.mark.parametrize(("tag", "bend", "sides"), [("RANGE", 0.15, 0), ("RANGE", 0.0, 2), ("BEARING", 0.15, 0)])
+@pytest.mark.parametrize("vertices", ["", "VERTEX_XY 90 0 0\nVERTEX_XY 91 0 0\nVERTEX_XY 92 0 0\n"])
+def test_landmarks_that_ranges_or_bearings_alone_see_are_found(tag, bend, sides, vertices, tmp_path):
+    """Without a place they were refused; from places of no meaning the minimum was another one."""
+    rng, true, lines = np.random.default_rng(2), [np.zeros(3)], []
+    places = np.array([[4.0, 3.0], [-2.0, 5.0], [3.0, -4.0]])
+    for k in range(30):
+        true.append(se2.compose(true[-1], np.array([0.4, 0.0, bend])))
+        z = np.array([0.4, 0.0, bend]) + rng.normal(0, [0.02, 0.02, 0.02])
+        lines.append(f"EDGE_SE2 {k} {k + 1} {z[0]} {z[1]} {z[2]} 2500 0 0 2500 0 2500")
+        for j, (x, y) in enumerate(places - true[-1][:2]):
+            measured = np.hypot(x, y) if tag == "RANGE" else se2.wrap_angle(np.arctan2(y, x) - true[-1][2])
+            lines.append(f"EDGE_{tag}_SE2_XY {k + 1} {90 + j} {measured + rng.normal(0, 0.02)} 2500")
+    (tmp_path / "g.g2o").write_text(vertices + "\n".join([*lines, "FIX 0"]))
+    found = page.opened(str(tmp_path / "g.g2o"), None, 0)
+    start = gtsam.Values(found.values)
+    for key, xy in zip(map(L, (90, 91, 92)), places, strict=True):
+        start.update(key, xy)
+    for k, pose in enumerate(true):
+        start.update(k, gtsam.Pose2(*pose))
+    assert found.graph.error(found.values) < found.graph.error(optimized(found.graph, start)) + 1e-3
+    assert len(found.report.met) == (0 if vertices else 3)
+    assert sum("across the path" in m.start for m in found.report.minima) >= sides
