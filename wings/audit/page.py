@@ -86,8 +86,15 @@ def _of_file(
     (fixed,) = file.fixed if len(file.fixed) == 1 and not file.priors else (None,)
     held = 0 if fixed is None else values.dims().get(fixed if values.exists(fixed) else point_key(fixed), 0)
     met = tuple(name(key) for key, some in seen(file).items() if some[0].ends[1] not in file.points)
-    report = replace(report, minima=minima, unread=unread, met=met, held=held)
+    report = replace(report, minima=minima, unread=unread, met=met, held=held, even=_even(file))
     return Opened(replace(report, optimized=optimize), graph, values, file)
+
+
+def _even(file: GraphFile) -> tuple[float, ...]:
+    """The information of relations of poses if each states one number for m and rad."""
+    relations = [e.information for e in file.edges if e.origin is Origin.STATED and len(e.information) > 2]
+    alone = sorted({float(P[0, 0]) for P in relations})
+    return tuple(alone) if all(np.array_equal(P, P[0, 0] * np.eye(len(P))) for P in relations) else ()
 
 
 def rows_of(graph: Graph) -> int:

@@ -73,9 +73,12 @@ def test_a_noise_that_no_line_states_is_assumed_and_never_believed(tmp_path):
     assert report.words().startswith("No noise is stated of odometry and loop, so that a sigma of 1 is assumed; the ")
     assert "believed where" not in report.words()
     assert not report.rejected
+    assert not report.even
     assert report.facts.asked[2].sigma == pytest.approx(0.02, rel=0.3)
     path.write_text("\n".join(f"{line} 1 0 0 1 0 1" * (line[0] == "E") for line in bare))
-    assert not page.opened(str(path), None, 0).report.facts.assumed
+    unit = page.opened(str(path), None, 0).report
+    assert not unit.facts.assumed
+    assert unit.even == (1.0,)
     path.write_text(
         "".join(f"VERTEX_SE2 {k} {k} 0 0\nEDGE_SE2_XY {k} 9 {4 - k} 0\n" for k in range(4)) + "VERTEX_XY 9 4 0\n"
     )
