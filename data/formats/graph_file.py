@@ -2,8 +2,9 @@
 docs/notes/audit.md lists the lines that are read.
 
 I: information, upper triangle row by row; in space translation first. As gtsam's reader, and unlike g2o, the rotation's
-information is of the angle, not of the quaternion's half angle. Poses and points have ids of their own. An edge without
-information is assumed to have the identity. Measurements of sensors with an offset become those of the robot.
+information is of the angle, not of the quaternion's half angle, if `noise` does not say so. Poses and points have ids
+of their own. An edge without information is assumed to have the identity. Measurements of sensors with an offset become
+those of the robot.
 
 Programs disagree on the noise N of text: gtsam reads covariances, iSAM the root R of an information R'R, upper
 triangle. Where a reader does not say, numbers below 1 are covariances, larger ones roots: a position is known to less
@@ -56,6 +57,8 @@ TUTORIAL = {
 }  # fmt: skip
 """Types of g2o's tutorial, and those with the same values."""
 INFORMATION, COVARIANCE, ROOT = NOISES = ("information", "covariance", "root")  # What the noise of text states
+IN_SPACE_AS = {"half-angle": np.diag([1.0, 1, 1, 2, 2, 2]), "rotation-first": np.eye(6)[[3, 4, 5, 0, 1, 2]]}
+"""What else the information in space states: the error that is meant, from the one that it is of."""
 TORO = [0, 1, 4, 2, 5, 3]  # places of I11 I12 I13 I22 I23 I33 among the six of an EDGE2
 MOST_TAGS = 8  # of a file's own that a refusal lists
 LONG = 40  # characters; Python reads no whole number of thousands
@@ -98,6 +101,7 @@ class GraphFile:
     priors: list[Edge] = field(default_factory=list)  # measured poses and positions, both ends the same
     noise: str = ""  # what text states, one of `NOISES`, or "" without text
     rows: bool = False  # EDGE2 are in the order of rows
+    space: str = ""  # what the information in space states, one of `IN_SPACE_AS`, or ""
 
     @property
     def alone(self) -> bool:
@@ -114,7 +118,8 @@ class GraphFile:
 
 
 def read_graph_file(path: Path, noise: str | None = None, *, bare: bool = False) -> GraphFile:
-    """Read a graph. `noise`: what text states, one of `NOISES`; None: as the numbers suggest. `bare`: vertices suffice.
+    """Read a graph. `noise`: what text states, one of `NOISES`, or of `IN_SPACE_AS`; None: as the numbers suggest.
+    `bare`: vertices suffice.
 
     Raises DataError with line and value: wrong fields, a number that is none, an information matrix that is not
     positive definite, a quaternion that is no rotation, an id that is repeated, or of two kinds, a pose without its
@@ -129,8 +134,9 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
     words = [(number, line.split("#")[0].split()) for number, line in enumerate(lines, start=1)]
     words = [(number, [known_tag(w[0]), *w[1:]]) for number, w in words if w]
     rows, meant = _layout(words)
+    space, noise = (noise or "", None) if noise in IN_SPACE_AS else ("", noise)
     noise = (noise or meant) if meant else ""
-    graph = GraphFile(path, lines, {}, {}, [], [], {}, {}, noise=noise, rows=rows)
+    graph = GraphFile(path, lines, {}, {}, [], [], {}, {}, noise=noise, rows=rows, space=space)
     for number, (tag, *fields) in words:  # before the edges that name them
         if tag in OFFSETS:
             (key,), values = _fields(path, number, tag, fields, 1, OFFSETS[tag])
@@ -253,6 +259,7 @@ def _prior(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
     if sensor and offset not in graph.offsets:
         raise DataError.at(graph.path, f"{tag}: no PARAMS_SE3OFFSET {offset}, the sensor's place on it", line=line)
     z, information = _pose(graph.path, line, tag, values[:measured]), symmetric(values[None, measured:])[0]
+    information = _in_space(graph, information) if d == 6 else information
     if d == 6 and not information[3:].any() and not (sensor and graph.offsets[offset][:3].any()):
         R = Rotation.from_quat(z[3:]).as_matrix()
         tag, z, information, offset = IN_SPACE, z[:3], R @ information[:3, :3] @ R.T, -1
@@ -278,12 +285,20 @@ def _edge(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
         edge = replace(edge, information=_stated(graph, edge, values[measured:]))
     if tag == "EDGE_SE3_TRACKXYZ":
         return replace(edge, parameter=keys[2])
+    if d == 6 and graph.space:
+        edge = replace(edge, information=_in_space(graph, edge.information), carried=IN_SPACE_AS[graph.space])
     if tag in SWITCHED:
         return edge
     for key in keys[2:]:
         if key not in graph.offsets:
             raise DataError.at(path, f"{tag}: no PARAMS_SE2OFFSET {key}, the sensor's place on the robot", line=line)
     return _of_robot(edge, [graph.offsets[key] for key in keys[2:]]) if keys[2:] else edge
+
+
+def _in_space(graph: GraphFile, information: Array) -> Array:
+    """The information of a pose's error, translation first, of the angle."""
+    back = np.linalg.inv(IN_SPACE_AS.get(graph.space, np.eye(6)))
+    return np.asarray(back.T @ information @ back)
 
 
 def _stated(graph: GraphFile, edge: Edge, entries: Array) -> Array:

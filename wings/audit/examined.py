@@ -102,6 +102,7 @@ class AuditReport:
     unread: tuple[str, ...] = ()
     met: tuple[str, ...] = ()  # landmarks without a stated place that ranges or bearings alone see
     even: tuple[float, ...] = ()  # information that relations of poses state for m and rad alike, if all do
+    space: bool = False  # relations in space are read by gtsam's convention
     held: int = 0  # directions of the gauge that a fixed vertex ties
     optimized: bool = False  # whether the optimizer ran first
 

@@ -86,7 +86,8 @@ def _of_file(
     (fixed,) = file.fixed if len(file.fixed) == 1 and not file.priors else (None,)
     held = 0 if fixed is None else values.dims().get(fixed if values.exists(fixed) else point_key(fixed), 0)
     met = tuple(name(key) for key, some in seen(file).items() if some[0].ends[1] not in file.points)
-    report = replace(report, minima=minima, unread=unread, met=met, held=held, even=_even(file))
+    space = not file.space and any(len(e.measured) == 7 for e in file.edges)
+    report = replace(report, minima=minima, unread=unread, met=met, held=held, even=_even(file), space=space)
     return Opened(replace(report, optimized=optimize), graph, values, file)
 
 
@@ -148,7 +149,8 @@ def cured(before: Opened, out: Path, draws: int = DRAWS, seed: int = 0, *, robus
         made = cure(before.file, before.report.audit, before.values, robust=robust)
         text = with_information(before.file, made.information, made.left_out)
         out.write_text(text, encoding="utf-8", newline="\n")
-        after = _of_file(graph_file_of(out, text), partial(examined, draws=draws, seed=seed))
+        noise = before.file.space or before.file.noise or None
+        after = _of_file(graph_file_of(out, text, noise), partial(examined, draws=draws, seed=seed))
     return pd.DataFrame([_row("before", before.report.audit), _row("after", after.report.audit, made)])
 
 
