@@ -243,8 +243,7 @@ def _beyond(file: GraphFile, edge: Edge, values: gtsam.Values, key: int) -> Any:
 
 AROUND, TRIED, REACH = 300, 5, (0.03, 30.0)
 """Places of a landmark that are tried for a range or bearing, and of so many of these; along a ray, in path's sizes."""
-MIRRORED, RIVAL, ODDS = 20, 10.0, np.log(1000.0)
-"""Landmarks whose mirrored place is tried; times the misfit up to which it is; difference of errors that is named."""
+RIVAL, ODDS = 10.0, np.log(1000.0)  # times the misfit up to which the other side is tried; difference of errors, named
 
 
 def seen(file: GraphFile) -> dict[int, list[Edge]]:
@@ -256,19 +255,24 @@ def seen(file: GraphFile) -> dict[int, list[Edge]]:
     return {key: some for key, some in out.items() if all(e.tag in (BEARING, RANGE) for e in some)}
 
 
-def across(file: GraphFile, graph: gtsam.NonlinearFactorGraph, best: gtsam.Values) -> dict[str, gtsam.Values]:
-    """Minima, by name, with such a landmark across the path, where these are as low or nearly so."""
-    out = dict[str, gtsam.Values]()
-    for key, edges in list(seen(file).items())[:MIRRORED]:
+def across(
+    file: GraphFile, graph: gtsam.NonlinearFactorGraph, best: gtsam.Values
+) -> tuple[gtsam.Values, tuple[str, ...]]:
+    """The lowest minimum with such landmarks on either side of the path, and those that fit about as well on both."""
+    either, rows = list[str](), sum(graph.at(i).dim() for i in range(graph.size()))
+    for key, edges in seen(file).items():
         centre, place, start = _sights(edges, best)[0], np.asarray(value_of(best, key)), gtsam.Values(best)
         normal = np.linalg.svd(centre - centre.mean(0))[2][-1]
         start.update(key, place - 2.0 * ((place - centre.mean(0)) @ normal) * normal)
         here, there = _misfit(edges, best, np.array([place, value_of(start, key)]))
-        end = optimized(graph, start, graph.error(best)) if there < RIVAL * here + len(edges) else best
-        if end is not best and graph.error(end) < graph.error(best) + ODDS:
-            out[f"{name(key)} across the path"] = end
+        if there < RIVAL * here + len(edges):
+            lowest = graph.error(best)
+            end = optimized(graph, start, lowest)
+            close = graph.error(end) < lowest + ODDS * min(1.0, 2.0 * lowest / rows)
+            if close and np.linalg.norm(value_of(end, key) - place) > np.linalg.norm(value_of(start, key) - place) / 2:
+                either.append(name(key))
             best = min(best, end, key=graph.error)
-    return out
+    return best, tuple(either)
 
 
 def _sights(edges: list[Edge], values: gtsam.Values) -> tuple[Array, Array, BoolArray]:

@@ -76,9 +76,10 @@ def _of_file(
     graph, values, names = build(file := with_landmarks(file))
     told("opened", factors=graph.size(), variables=values.size())
     ends: dict[str, Values] = {}
+    either: tuple[str, ...] = ()
     if optimize:  # of several minima the lowest is examined
         ends = _ends(file, graph, values)
-        values = min(ends.values(), key=graph.error)
+        values, either = across(file, graph, min(ends.values(), key=graph.error))
         told("optimized", chi2=2.0 * graph.error(values))
     report = _reported(audit(graph, values, names), graph, values, resolve)
     unread = tuple(f"{count} {tag}" for tag, count in file.other.items())
@@ -87,7 +88,9 @@ def _of_file(
     held = 0 if fixed is None else values.dims().get(fixed if values.exists(fixed) else point_key(fixed), 0)
     met = tuple(name(key) for key, some in seen(file).items() if some[0].ends[1] not in file.points)
     space = not file.space and any(len(e.measured) == 7 for e in file.edges)
-    report = replace(report, minima=minima, unread=unread, met=met, held=held, even=_even(file), space=space)
+    report = replace(
+        report, minima=minima, unread=unread, met=met, either=either, held=held, even=_even(file), space=space
+    )
     return Opened(replace(report, optimized=optimize), graph, values, file)
 
 
@@ -121,7 +124,7 @@ def _ends(file: GraphFile, graph: Graph, values: Values) -> dict[str, Values]:
         least = min(least, graph.error(ends[start]))
     if not small and 2.0 * least > poor:
         ends |= {start: optimized(graph, begin) for start, begin in other_starts(file, ends[first]).items()}
-    return ends | across(file, graph, min(ends.values(), key=graph.error))
+    return ends
 
 
 def _minima(ends: dict[str, Values], graph: Graph, ours: Values, report: AuditReport) -> tuple[Second, ...]:

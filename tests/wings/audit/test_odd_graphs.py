@@ -408,7 +408,7 @@ def test_factors_that_share_one_test_are_named_together_and_none_of_them_is_blam
     assert "contradicts all others most" not in found
 
 
-@pytest.mark.parametrize(("tag", "bend", "sides"), [("RANGE", 0.15, 0), ("RANGE", 0.0, 2), ("BEARING", 0.15, 0)])
+@pytest.mark.parametrize(("tag", "bend", "sides"), [("RANGE", 0.15, 0), ("RANGE", 0.0, 3), ("BEARING", 0.15, 0)])
 @pytest.mark.parametrize("vertices", ["", "VERTEX_XY 90 0 0\nVERTEX_XY 91 0 0\nVERTEX_XY 92 0 0\n"])
 def test_landmarks_that_ranges_or_bearings_alone_see_are_found(tag, bend, sides, vertices, tmp_path):
     """Without a place they were refused; from places of no meaning the minimum was another one."""
@@ -430,4 +430,4 @@ def test_landmarks_that_ranges_or_bearings_alone_see_are_found(tag, bend, sides,
         start.update(k, gtsam.Pose2(*pose))
     assert found.graph.error(found.values) < found.graph.error(optimized(found.graph, start)) + 1e-3
     assert len(found.report.met) == (0 if vertices else 3)
-    assert sum("across the path" in m.start for m in found.report.minima) >= sides
+    assert len(found.report.either) == sides
