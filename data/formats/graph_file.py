@@ -12,6 +12,7 @@ than a metre. So are EDGE2 in the order of rows, which iSAM writes; in Toro's or
 """
 
 import math
+import re
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -41,6 +42,7 @@ EDGES = {
     "EDGE_SE2_POINTXY_OFFSET": (2, 2, POSE2, POINT2),
     "EDGE_SE2_SWITCHABLE": (3, 3, POSE2, POSE2), "EDGE_SE3_SWITCHABLE": (7, 6, POSE3, POSE3),
     "EDGE_SE3:QUAT": (7, 6, POSE3, POSE3), "EDGE3": (6, 6, POSE3, POSE3), "EDGE_SE3_TRACKXYZ": (3, 3, POSE3, POINT3),
+    "EDGE_SE3_XYZ": (3, 3, POSE3, POINT3),
 }  # fmt: skip
 """Measured values, residuals, and the kinds of both ends."""
 SWITCHED = ("EDGE_SE2_SWITCHABLE", "EDGE_SE3_SWITCHABLE")
@@ -51,11 +53,17 @@ IN_SPACE, POSE_IN_SPACE = "EDGE_SE3_PRIORXYZ", "EDGE_SE3_PRIOR"
 PRIORS = {"EDGE_PRIOR_SE2": (3, 3), "EDGE_PRIOR_SE2_XY": (2, 2), IN_SPACE: (3, 3), POSE_IN_SPACE: (7, 6)}  # as of edges
 OFFSETS = {"PARAMS_SE3OFFSET": 7, "PARAMS_SE2OFFSET": 3}
 TEXT = ("ODOMETRY", "CONSTRAINT", "CONSTRAINT2", "LANDMARK")  # in any case
-TUTORIAL = {
+ALIASES = {
     "TUTORIAL_VERTEX_SE2": "VERTEX_SE2", "TUTORIAL_VERTEX_POINT_XY": "VERTEX_XY", "TUTORIAL_EDGE_SE2": "EDGE_SE2",
     "TUTORIAL_EDGE_SE2_POINT_XY": "EDGE_SE2_POINTXY_OFFSET", "TUTORIAL_PARAMS_SE2_OFFSET": "PARAMS_SE2OFFSET",
+    "VERTEX": "VERTEX2", "EDGE": "EDGE2", "VERTEX_POINT_XY": "VERTEX_XY", "EDGE_SE2_POINT_XY": "EDGE_SE2_XY",
+    "VERTEX_XYZ": "VERTEX_TRACKXYZ", "VERTEX_POINT_XYZ": "VERTEX_TRACKXYZ", "EDGE_SE3_POINT_XYZ": "EDGE_SE3_XYZ",
+    "POSE2D_NODE": "VERTEX_SE2", "POINT2D_NODE": "VERTEX_XY", "POSE2D_POSE2D_FACTOR": "ODOMETRY",
+    "POSE2D_POINT2D_FACTOR": "LANDMARK", "VERTEX_SE2:PRIOR": "EDGE_PRIOR_SE2", "EDGE_RANGE": RANGE,
 }  # fmt: skip
-"""Types of g2o's tutorial, and those with the same values."""
+"""Types of g2o's tutorial, old Toro, iSAM's files and PyFG, and those with the same values."""
+KNOWN = {*VERTICES, *EDGES, *PRIORS, *OFFSETS, "FIX"}
+NAMED = re.compile("[A-Za-z][0-9]{1,16}")  # a name, as of gtsam's keys
 INFORMATION, COVARIANCE, ROOT = NOISES = ("information", "covariance", "root")  # What the noise of text states
 IN_SPACE_AS = {"half-angle": np.diag([1.0, 1, 1, 2, 2, 2]), "rotation-first": np.eye(6)[[3, 4, 5, 0, 1, 2]]}
 """What else the information in space states: the error that is meant, from the one that it is of."""
@@ -101,6 +109,7 @@ class GraphFile:
     priors: list[Edge] = field(default_factory=list)  # measured poses and positions, both ends the same
     noise: str = ""  # what text states, one of `NOISES`, or "" without text
     rows: bool = False  # EDGE2 are in the order of rows
+    named: bool = False  # PyFG: variables have names, and all noise is stated as that of text
     space: str = ""  # what the information in space states, one of `IN_SPACE_AS`, or ""
 
     @property
@@ -114,12 +123,12 @@ class GraphFile:
 
     def states(self, edge: Edge) -> str:
         """What the noise of an edge states, one of `NOISES`."""
-        return self.noise if edge.tag in TEXT or (edge.tag == "EDGE2" and self.rows) else INFORMATION
+        text = self.named or edge.tag in TEXT or (edge.tag == "EDGE2" and self.rows)
+        return self.noise if text else INFORMATION
 
 
 def read_graph_file(path: Path, noise: str | None = None, *, bare: bool = False) -> GraphFile:
-    """Read a graph. `noise`: what text states, one of `NOISES`, or of `IN_SPACE_AS`; None: as the numbers suggest.
-    `bare`: vertices suffice.
+    """Read a graph. `noise`: one of `NOISES`, `IN_SPACE_AS`; None: as the numbers suggest. `bare`: vertices suffice.
 
     Raises DataError with line and value: wrong fields, a number that is none, an information matrix that is not
     positive definite, a quaternion that is no rotation, an id that is repeated, or of two kinds, a pose without its
@@ -131,12 +140,14 @@ def read_graph_file(path: Path, noise: str | None = None, *, bare: bool = False)
 def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool = False) -> GraphFile:
     """The graph of a text; errors, as of `read_graph_file`, name the path."""
     lines = text.splitlines()
-    words = [(number, line.split("#")[0].split()) for number, line in enumerate(lines, start=1)]
-    words = [(number, [known_tag(w[0]), *w[1:]]) for number, w in words if w]
+    words = [(number, words_of(line)) for number, line in enumerate(lines, start=1)]
+    words = [(number, w) for number, w in words if w[0]]
     rows, meant = _layout(words)
+    if named := any(NAMED.fullmatch(word) for line in lines if line.startswith("EDGE") for word in line.split()[2:3]):
+        meant = COVARIANCE
     space, noise = (noise or "", None) if noise in IN_SPACE_AS else ("", noise)
     noise = (noise or meant) if meant else ""
-    graph = GraphFile(path, lines, {}, {}, [], [], {}, {}, noise=noise, rows=rows, space=space)
+    graph = GraphFile(path, lines, {}, {}, [], [], {}, {}, noise=noise, rows=rows, space=space, named=named)
     for number, (tag, *fields) in words:  # before the edges that name them
         if tag in OFFSETS:
             (key,), values = _fields(path, number, tag, fields, 1, OFFSETS[tag])
@@ -172,7 +183,8 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
     if not graph.edges and not (bare and graph.poses):
         tags = Counter(w[0][:LONG] for _, w in words if w[0][0].isalpha()).most_common(MOST_TAGS)
         has = f"no edge of a graph among {', '.join(f'{n} {tag}' for tag, n in tags)}" if tags else "no edge of a graph"
-        raise DataError.at(path, f"{has}; lines of g2o or Toro are needed, with a tag of {', '.join(EDGES)}")
+        untagged = f"; rows i j x y theta get one by sed -n 's/,/ /g; s/^[0-9]/EDGE_SE2 &/p' {path.name} > graph.g2o"
+        raise DataError.at(path, f"{has}; lines of g2o or Toro are needed, with a tag of {', '.join(EDGES)}{untagged}")
     turns = np.abs([e.measured[2] for e in graph.edges if graph.kind(e) == (POSE2, POSE2)])
     if 2 * (turns > 2.0 * math.pi).sum() > np.count_nonzero(turns):
         raise DataError.at(path, "turns of most edges exceed 2 pi, as in degrees; rad, in their noise too, are needed")
@@ -180,9 +192,15 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
     return graph
 
 
-def known_tag(tag: str) -> str:
-    """The tag as it is known: those of text are written in any case, those of g2o's tutorial are others' equals."""
-    return tag.upper() if tag.upper() in TEXT else TUTORIAL.get(tag, tag)
+def words_of(line: str, *, plain: bool = True) -> list[str]:
+    """Words of a line, also in brackets, without its comment; the tag as known; `plain`: PyFG's names as keys."""
+    text = line.split("#")[0]
+    tag, *fields = (re.sub("[,;(){}]", " ", text) if re.match(r"\s*[\w:]+[,;]|.*[(]", text) else text).split() or [""]
+    upper = tag.upper().rstrip(":")
+    tag = next((known for known in (upper, ALIASES.get(upper)) if known in KNOWN), tag)
+    if plain and len(fields) > 1 and NAMED.fullmatch(fields[1]) and not NAMED.fullmatch(fields[0]):
+        fields = fields[1:]  # a stamp
+    return [tag, *(str((ord(f[0]) << 56) + int(f[1:])) if plain and NAMED.fullmatch(f) else f for f in fields)]
 
 
 def _layout(words: list[tuple[int, list[str]]]) -> tuple[bool, str]:
@@ -264,6 +282,7 @@ def _prior(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
         R = Rotation.from_quat(z[3:]).as_matrix()
         tag, z, information, offset = IN_SPACE, z[:3], R @ information[:3, :3] @ R.T, -1
     _require_definite(graph.path, line, tag, information)
+    information = np.asarray(np.linalg.inv(information)) if graph.named else information
     return Edge(tag, (key, key), z, information, line, offset)
 
 
@@ -370,9 +389,9 @@ def with_information(graph: GraphFile, information: dict[int, Array], left_out: 
         if k in left_out:
             lines[edge.line - 1] = f"# left out: {lines[edge.line - 1]}"
         elif k in information:
-            words = lines[edge.line - 1].split("#")[0].split()
-            measured, d, *_ = EDGES[tag := known_tag(words[0])]
-            keep = words[: 1 + IDS.get(tag, 2) + measured]
+            words, plain = words_of(lines[edge.line - 1], plain=False), words_of(lines[edge.line - 1])
+            measured, d, *_ = EDGES[tag := words[0]]
+            keep = words[: len(words) - len(plain) + 1 + IDS.get(tag, 2) + measured]
             stated, states = information[k], graph.states(edge)
             if edge.carried is not None:
                 stated = edge.carried.T @ stated @ edge.carried

@@ -17,7 +17,7 @@ from data.inputs import IntArray
 from data.origin import Origin
 from data.se2 import Array, BoolArray, wrap_angle
 from graph.batch import chordal
-from wings.audit.linear import System, factorize, linearize, name, ordering, step, value_of
+from wings.audit.linear import Graph, System, Values, factorize, linearize, name, ordering, step, value_of
 
 FREE = 30.0  # rad, sigma of a rotation from which nothing was measured
 AS_POINT = {"EDGE_SE2": ("EDGE_SE2_XY", POINT2, 2), "EDGE_SE3:QUAT": ("EDGE_SE3_TRACKXYZ", POINT3, 3)}
@@ -255,9 +255,7 @@ def seen(file: GraphFile) -> dict[int, list[Edge]]:
     return {key: some for key, some in out.items() if all(e.tag in (BEARING, RANGE) for e in some)}
 
 
-def across(
-    file: GraphFile, graph: gtsam.NonlinearFactorGraph, best: gtsam.Values
-) -> tuple[gtsam.Values, tuple[str, ...]]:
+def across(file: GraphFile, graph: Graph, best: Values) -> tuple[Values, tuple[str, ...]]:
     """The lowest minimum with such landmarks on either side of the path, and those that fit about as well on both."""
     either, rows = list[str](), sum(graph.at(i).dim() for i in range(graph.size()))
     for key, edges in seen(file).items():

@@ -431,3 +431,22 @@ def test_landmarks_that_ranges_or_bearings_alone_see_are_found(tag, bend, sides,
     assert found.graph.error(found.values) < found.graph.error(optimized(found.graph, start)) + 1e-3
     assert len(found.report.met) == (0 if vertices else 3)
     assert len(found.report.either) == sides
+
+
+STEP = "EDGE_SE2 {} {} 1 0 0.1 4 0 0 4 0 9"
+
+
+@pytest.mark.parametrize("form", [
+    lambda i, j: STEP.format(i, j).replace(" ", ","), lambda i, j: STEP.format(i, j).lower(),
+    lambda i, j: f"EDGE {i} {j} 1 0 0.1 4 0 4 9 0 0", lambda i, j: f"EDGE_SE2: {i} {j} 1 0 .1 4 0 0 4 0 9 # one",
+    lambda i, j: f"Pose2d_Pose2d_Factor {i} {j} (1, 0, 0.1) {{2,0,0,2,0,3}}",
+    lambda i, j: f"EDGE_SE2 0.5 A{i} A{j} 1 0 0.1 0.25 0 0 0.25 0 {1 / 9!r}",
+])  # fmt: skip
+def test_other_dialects_are_read_and_written(form, tmp_path):
+    path, out = tmp_path / "g.txt", tmp_path / "out.txt"
+    path.write_text("\n".join(form(i, j) for i, j in [(0, 1), (1, 2), (2, 3), (0, 3)]) + "\n")
+    found = page.opened(str(path), None, 0)
+    assert found.graph.at(3).noiseModel().sigmas() == pytest.approx([0.5, 0.5, 1 / 3])
+    page.cured(found, out, 0)
+    again = page.opened(str(out), None, 0)
+    assert again.graph.error(again.values) == pytest.approx(0.7, rel=0.01)
