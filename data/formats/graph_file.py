@@ -195,12 +195,14 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
 def words_of(line: str, *, plain: bool = True) -> list[str]:
     """Words of a line, also in brackets, without its comment; the tag as known; `plain`: PyFG's names as keys."""
     text = line.split("#")[0]
-    tag, *fields = (re.sub("[,;(){}]", " ", text) if re.match(r"\s*[\w:]+[,;]|.*[(]", text) else text).split() or [""]
+    divided = "(" in text or re.match(r"\s*[\w:]+[,;]", text)
+    tag, *fields = (re.sub("[,;(){}]", " ", text) if divided else text).split() or [""]
     upper = tag.upper().rstrip(":")
     tag = next((known for known in (upper, ALIASES.get(upper)) if known in KNOWN), tag)
-    if plain and len(fields) > 1 and NAMED.fullmatch(fields[1]) and not NAMED.fullmatch(fields[0]):
-        fields = fields[1:]  # a stamp
-    return [tag, *(str((ord(f[0]) << 56) + int(f[1:])) if plain and NAMED.fullmatch(f) else f for f in fields)]
+    if plain and any(map(NAMED.fullmatch, fields[:2])):
+        fields = fields[NAMED.fullmatch(fields[0]) is None :]  # without its stamp
+        fields = [str((ord(f[0]) << 56) + int(f[1:])) if NAMED.fullmatch(f) else f for f in fields]
+    return [tag, *fields]
 
 
 def _layout(words: list[tuple[int, list[str]]]) -> tuple[bool, str]:
