@@ -135,7 +135,7 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
     unknown = ("", np.full(3, np.nan))
     vertex = np.array([graph.file.poses.get(i, unknown)[1] for i in ids.tolist()])
     start = vertex[0] if np.isfinite(vertex[0]).all() else np.zeros(3)
-    if graph.file.alone and len(row := np.flatnonzero(np.isfinite(vertex[:, 0]))):
+    if not graph.file.listed and len(row := np.flatnonzero(np.isfinite(vertex[:, 0]))):
         start = compose(vertex[row[0]], inverse(se2.dead_reckoned(np.zeros(3), mean)[row[0]]))
     observations, label, sensors = _observations(graph, ids)
     origins: dict[str, Origin] = {"max_range": Origin.INFERRED} if len(label) else {}
@@ -170,8 +170,7 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
 def _frames(graph: Graph) -> IntArray:
     """Pose ids (N,) in the order of frames."""
     ends = [graph.motion.ends.ravel(), *(e.ends[:, 0] for _, e in graph.seen)]
-    listed = graph.file.poses and not graph.file.alone
-    ids = np.array(list(graph.file.poses), np.int64) if listed else np.unique(np.concatenate(ends))
+    ids = np.array(list(graph.file.poses), np.int64) if graph.file.listed else np.unique(np.concatenate(ends))
     if len(ids) == 0:
         raise DataError.at(graph.file.path, "no pose: neither VERTEX_SE2 nor EDGE_SE2")
     for edges, columns in ((graph.motion, 2), *((e, 1) for _, e in graph.seen)):
@@ -303,7 +302,8 @@ def _closures(graph: Graph, ids: IntArray, used: IntArray) -> Closures | None:
 
 
 def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
-    notes = ["One pose has a line; the others begin where the edges put them"] if graph.file.alone else []
+    one = len(graph.file.poses) * (not graph.file.listed)
+    notes = ["One pose has a line; the others begin where the edges put them"] * one
     if loops := len(graph.motion) - len(used):
         notes.append(f"{loops} {MOTION} outside the chain of poses are its closures")
     if graph.file.fixed and graph.file.fixed != [int(ids[0])]:

@@ -2,9 +2,8 @@
 docs/notes/audit.md lists the lines that are read.
 
 I: information, upper triangle row by row; in space translation first. As gtsam's reader, and unlike g2o, the rotation's
-information is of the angle, not of the quaternion's half angle, if `noise` does not say so. Poses and points have ids
-of their own. An edge without information is assumed to have the identity. Measurements of sensors with an offset become
-those of the robot.
+information is, by default, of the angle, not of the quaternion's half angle. Poses and points have ids of their own. An
+edge without information is assumed to have the identity. Measurements of sensors with an offset become the robot's.
 
 Programs disagree on the noise N of text: gtsam reads covariances, iSAM the root R of an information R'R, upper
 triangle. Where a reader does not say, numbers below 1 are covariances, larger ones roots: a position is known to less
@@ -62,11 +61,10 @@ ALIASES = {
     "POSE2D_POINT2D_FACTOR": "LANDMARK", "VERTEX_SE2:PRIOR": "EDGE_PRIOR_SE2", "EDGE_RANGE": RANGE,
 }  # fmt: skip
 """Types of g2o's tutorial, old Toro, iSAM's files and PyFG, and those with the same values."""
-KNOWN = {*VERTICES, *EDGES, *PRIORS, *OFFSETS, "FIX"}
 NAMED = re.compile("[A-Za-z][0-9]{1,16}")  # a name, as of gtsam's keys
 INFORMATION, COVARIANCE, ROOT = NOISES = ("information", "covariance", "root")  # What the noise of text states
-IN_SPACE_AS = {"half-angle": np.diag([1.0, 1, 1, 2, 2, 2]), "rotation-first": np.eye(6)[[3, 4, 5, 0, 1, 2]]}
-"""What else the information in space states: the error that is meant, from the one that it is of."""
+IN_SPACE_AS = {"half-angle": np.diag([1.0, 1, 1, 0.5, 0.5, 0.5]), "rotation-first": np.eye(6)[[3, 4, 5, 0, 1, 2]]}
+"""What else the information in space states: the error that it is of, from that of the angle, translation first."""
 TORO = [0, 1, 4, 2, 5, 3]  # places of I11 I12 I13 I22 I23 I33 among the six of an EDGE2
 MOST_TAGS = 8  # of a file's own that a refusal lists
 LONG = 40  # characters; Python reads no whole number of thousands
@@ -113,9 +111,9 @@ class GraphFile:
     space: str = ""  # what the information in space states, one of `IN_SPACE_AS`, or ""
 
     @property
-    def alone(self) -> bool:
-        """Whether one pose has a line, and the others begin where the edges put them."""
-        return len(self.poses) == 1 and any(self.poses.keys() & set(e.ends) for e in self.edges)
+    def listed(self) -> bool:
+        """Whether poses have lines, not one that edges lead from alone: the others begin where these put them."""
+        return len(self.poses) > any(self.poses.keys() & set(e.ends) for e in self.edges)
 
     def kind(self, edge: Edge) -> tuple[str, str]:
         """Kinds of the variables at both ends."""
@@ -123,8 +121,7 @@ class GraphFile:
 
     def states(self, edge: Edge) -> str:
         """What the noise of an edge states, one of `NOISES`."""
-        text = self.named or edge.tag in TEXT or (edge.tag == "EDGE2" and self.rows)
-        return self.noise if text else INFORMATION
+        return self.noise if self.named or edge.tag in TEXT or (edge.tag == "EDGE2" and self.rows) else INFORMATION
 
 
 def read_graph_file(path: Path, noise: str | None = None, *, bare: bool = False) -> GraphFile:
@@ -198,11 +195,10 @@ def words_of(line: str, *, plain: bool = True) -> list[str]:
     divided = "(" in text or re.match(r"\s*[\w:]+[,;]", text)
     tag, *fields = (re.sub("[,;(){}]", " ", text) if divided else text).split() or [""]
     upper = tag.upper().rstrip(":")
-    tag = next((known for known in (upper, ALIASES.get(upper)) if known in KNOWN), tag)
     if plain and any(map(NAMED.fullmatch, fields[:2])):
         fields = fields[NAMED.fullmatch(fields[0]) is None :]  # without its stamp
         fields = [str((ord(f[0]) << 56) + int(f[1:])) if NAMED.fullmatch(f) else f for f in fields]
-    return [tag, *fields]
+    return [ALIASES.get(upper, upper), *fields]
 
 
 def _layout(words: list[tuple[int, list[str]]]) -> tuple[bool, str]:
@@ -223,13 +219,13 @@ def _six(fields: list[str]) -> Array:
 
 def _check(graph: GraphFile) -> None:
     """Raise DataError for ends that are missing or of two kinds."""
-    path, listed = graph.path, bool(graph.poses) and not graph.alone
+    path = graph.path
     kinds: dict[tuple[bool, int], str] = {(False, k): kind for k, (kind, _) in graph.poses.items()}
     kinds |= {(True, k): kind for k, (kind, _) in graph.points.items()}
     for edge in graph.edges:
         for key, kind in zip(edge.ends, graph.kind(edge), strict=True):
             point, what = kind in (POINT2, POINT3), ""
-            if listed and not point and key not in graph.poses:
+            if graph.listed and not point and key not in graph.poses:
                 what = f"vertex {key} is missing; each pose needs its line, or none has one"
             elif kinds.setdefault((point, key), kind) != kind:
                 what = f"{key} is a {kinds[point, key]}, where a {kind} is needed"
@@ -279,7 +275,8 @@ def _prior(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
     if sensor and offset not in graph.offsets:
         raise DataError.at(graph.path, f"{tag}: no PARAMS_SE3OFFSET {offset}, the sensor's place on it", line=line)
     z, information = _pose(graph.path, line, tag, values[:measured]), symmetric(values[None, measured:])[0]
-    information = _in_space(graph, information) if d == 6 else information
+    A = IN_SPACE_AS.get(graph.space, np.eye(6))
+    information = np.asarray(A.T @ information @ A) if d == 6 else information
     if d == 6 and not information[3:].any() and not (sensor and graph.offsets[offset][:3].any()):
         R = Rotation.from_quat(z[3:]).as_matrix()
         tag, z, information, offset = IN_SPACE, z[:3], R @ information[:3, :3] @ R.T, -1
@@ -307,19 +304,14 @@ def _edge(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
     if tag == "EDGE_SE3_TRACKXYZ":
         return replace(edge, parameter=keys[2])
     if d == 6 and graph.space:
-        edge = replace(edge, information=_in_space(graph, edge.information), carried=IN_SPACE_AS[graph.space])
+        A = IN_SPACE_AS[graph.space]
+        edge = replace(edge, information=np.asarray(A.T @ edge.information @ A), carried=np.linalg.inv(A))
     if tag in SWITCHED:
         return edge
     for key in keys[2:]:
         if key not in graph.offsets:
             raise DataError.at(path, f"{tag}: no PARAMS_SE2OFFSET {key}, the sensor's place on the robot", line=line)
     return _of_robot(edge, [graph.offsets[key] for key in keys[2:]]) if keys[2:] else edge
-
-
-def _in_space(graph: GraphFile, information: Array) -> Array:
-    """The information of a pose's error, translation first, of the angle."""
-    back = np.linalg.inv(IN_SPACE_AS.get(graph.space, np.eye(6)))
-    return np.asarray(back.T @ information @ back)
 
 
 def _stated(graph: GraphFile, edge: Edge, entries: Array) -> Array:

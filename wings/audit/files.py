@@ -11,11 +11,12 @@ import numpy as np
 from gtsam.symbol_shorthand import L
 from gtsam_unstable import DeltaFactor
 
+from association.triangulate import Sights, met, misfit
 from data.errors import DataError
 from data.formats.graph_file import BEARING, IN_SPACE, POINT2, POINT3, POSE2, POSE3, RANGE, Edge, GraphFile
 from data.inputs import IntArray
 from data.origin import Origin
-from data.se2 import Array, BoolArray, wrap_angle
+from data.se2 import Array
 from graph.batch import chordal
 from wings.audit.linear import Graph, System, Values, factorize, linearize, name, ordering, step, value_of
 
@@ -220,7 +221,7 @@ def _follow(file: GraphFile, values: gtsam.Values) -> None:
                     (queue.appendleft if abs(other - key) == 1 else queue.append)(other)
     for key, some in seen(file).items():
         if not values.exists(key):
-            values.insert(key, _met(some, values))
+            values.insert(key, met(sights(some, values)))
 
 
 def _beyond(file: GraphFile, edge: Edge, values: gtsam.Values, key: int) -> Any:
@@ -241,8 +242,6 @@ def _beyond(file: GraphFile, edge: Edge, values: gtsam.Values, key: int) -> Any:
     return here.compose(step_ if key == edge.ends[0] else step_.inverse())
 
 
-AROUND, TRIED, REACH = 300, 5, (0.03, 30.0)
-"""Places of a landmark that are tried for a range or bearing, and of so many of these; along a ray, in path's sizes."""
 RIVAL, ODDS = 10.0, np.log(1000.0)  # times the misfit up to which the other side is tried; difference of errors, named
 
 
@@ -259,10 +258,10 @@ def across(file: GraphFile, graph: Graph, best: Values) -> tuple[Values, tuple[s
     """The lowest minimum with such landmarks on either side of the path, and those that fit about as well on both."""
     either, rows = list[str](), sum(graph.at(i).dim() for i in range(graph.size()))
     for key, edges in seen(file).items():
-        centre, place, start = _sights(edges, best)[0], np.asarray(value_of(best, key)), gtsam.Values(best)
+        centre, place, start = sights(edges, best).centre, np.asarray(value_of(best, key)), gtsam.Values(best)
         normal = np.linalg.svd(centre - centre.mean(0))[2][-1]
         start.update(key, place - 2.0 * ((place - centre.mean(0)) @ normal) * normal)
-        here, there = _misfit(edges, best, np.array([place, value_of(start, key)]))
+        here, there = misfit(sights(edges, best), np.array([place, value_of(start, key)]))
         if there < RIVAL * here + len(edges):
             lowest = graph.error(best)
             end = optimized(graph, start, lowest)
@@ -273,32 +272,12 @@ def across(file: GraphFile, graph: Graph, best: Values) -> tuple[Values, tuple[s
     return best, tuple(either)
 
 
-def _sights(edges: list[Edge], values: gtsam.Values) -> tuple[Array, Array, BoolArray]:
-    """Places (m, d) of poses, what they measured (m,), bearings in the world's axes, and which are bearings."""
+def sights(edges: list[Edge], values: gtsam.Values) -> Sights:
+    """What ranges and bearings of a landmark measured, from where."""
     poses: list[Any] = [value_of(values, e.ends[0]) for e in edges]
     ray = np.array([e.tag == BEARING for e in edges])
-    turn = [p.theta() if r else 0.0 for p, r in zip(poses, ray, strict=True)]
-    return np.array([p.translation() for p in poses]), np.array([e.measured[0] for e in edges]) + turn, ray
-
-
-def _misfit(edges: list[Edge], values: gtsam.Values, place: Array) -> Array:
-    """Sum of the residuals' sizes (K,), in sigmas, of places (K, d) of one landmark."""
-    centre, z, ray = _sights(edges, values)
-    apart = place[:, None] - centre
-    off = np.where(ray, np.arctan2(apart[..., 1], apart[..., 0]), np.linalg.norm(apart, axis=2)) - z
-    off = np.where(ray, wrap_angle(off), off) * np.sqrt([e.information[0, 0] for e in edges])
-    return np.asarray(np.abs(off).sum(1))
-
-
-def _met(edges: list[Edge], values: gtsam.Values) -> Array:
-    """Of places around some poses at their range, or along their ray, that of least misfit."""
-    centre, z, ray = _sights(edges, values)
-    way = np.random.default_rng(0).normal(size=(AROUND, centre.shape[1]))
-    way /= np.linalg.norm(way, axis=1)[:, None]
-    along, place = np.geomspace(*REACH, AROUND) * (np.ptp(centre, axis=0).max() or 1.0), list[Array]()
-    for m in np.unique(np.linspace(0, len(z) - 1, TRIED).astype(int)).tolist():
-        place.extend(centre[m] + (np.outer(along, [np.cos(z[m]), np.sin(z[m])]) if ray[m] else z[m] * way))
-    return place[np.argmin(_misfit(edges, values, np.array(place)))]
+    z = np.array([e.measured[0] + (p.theta() if e.tag == BEARING else 0.0) for e, p in zip(edges, poses, strict=True)])
+    return Sights(np.array([p.translation() for p in poses]), z, ray, np.sqrt([e.information[0, 0] for e in edges]))
 
 
 EDGES, CHORDAL = "the path along the edges", "the chordal start"

@@ -51,19 +51,14 @@ def opened(
         if not (script.endswith(".py") and function.isidentifier()):
             file = read_graph_file(Path(place), noise)
             return _of_file(file, audit, resolve, optimize=optimize is not False, told=told)
-        graph, values = built_by(place)
-        values = optimized(graph, values) if optimize else values
+        made = load(settled("GRAPH", place, "maintenance")).thing()
+        match made:
+            case (gtsam.NonlinearFactorGraph() as graph, gtsam.Values() as values):
+                values = optimized(graph, values) if optimize else values
+            case _:
+                raise UsageError(f"{place} returned {type(made).__name__}; (NonlinearFactorGraph, Values) is needed")
         report = replace(_reported(audit(graph, values, None), graph, values, resolve), optimized=bool(optimize))
         return Opened(report, graph, values, None)
-
-
-def built_by(place: str) -> tuple[Graph, Values]:
-    """Graph and values that `FILE.py:FUNCTION` returns. Raises UsageError for anything else."""
-    made = load(settled("GRAPH", place, "maintenance")).thing()
-    match made:
-        case (gtsam.NonlinearFactorGraph() as graph, gtsam.Values() as values):
-            return graph, values
-    raise UsageError(f"{place} returned {type(made).__name__}; (NonlinearFactorGraph, Values) is needed")
 
 
 def _reported(a: Audit, graph: Graph, values: Values, resolve: int) -> AuditReport:
@@ -75,11 +70,9 @@ def _of_file(
 ) -> Opened:
     graph, values, names = build(file := with_landmarks(file))
     told("opened", factors=graph.size(), variables=values.size())
-    ends: dict[str, Values] = {}
-    either: tuple[str, ...] = ()
-    if optimize:  # of several minima the lowest is examined
-        ends = _ends(file, graph, values)
-        values, either = across(file, graph, min(ends.values(), key=graph.error))
+    ends = _ends(file, graph, values) if optimize else {}  # of several minima the lowest is examined
+    values, either = across(file, graph, min(ends.values(), key=graph.error)) if ends else (values, ())
+    if optimize:
         told("optimized", chi2=2.0 * graph.error(values))
     report = _reported(audit(graph, values, names), graph, values, resolve)
     unread = tuple(f"{count} {tag}" for tag, count in file.other.items())
@@ -87,11 +80,9 @@ def _of_file(
     (fixed,) = file.fixed if len(file.fixed) == 1 and not file.priors else (None,)
     held = 0 if fixed is None else values.dims().get(fixed if values.exists(fixed) else point_key(fixed), 0)
     met = tuple(name(key) for key, some in seen(file).items() if some[0].ends[1] not in file.points)
-    space = not file.space and any(len(e.measured) == 7 for e in file.edges)
-    report = replace(
-        report, minima=minima, unread=unread, met=met, either=either, held=held, even=_even(file), space=space
-    )
-    return Opened(replace(report, optimized=optimize), graph, values, file)
+    space = not file.space and any(e.origin is Origin.STATED and len(e.measured) == 7 for e in file.edges)
+    report = replace(report, minima=minima, unread=unread, met=met, either=either, held=held, optimized=optimize)
+    return Opened(replace(report, even=_even(file), space=space), graph, values, file)
 
 
 def _even(file: GraphFile) -> tuple[float, ...]:
