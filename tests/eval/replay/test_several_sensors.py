@@ -88,7 +88,6 @@ def test_localization_is_consistent(sensors, name):
 
 
 def test_landmarks_of_ranges_begin_where_all_of_them_meet():
-    """A further start of a smoother whose minimum is suspicious, as from the wrong side of the path."""
     log = drive(0, (RADIO,))
     number = log.truth.landmark_of - 12
     first = np.where(np.isin(np.arange(len(number)), [number.tolist().index(n) for n in (0, 1)]), number, -1)

@@ -412,14 +412,14 @@ def test_factors_that_share_one_test_are_named_together_and_none_of_them_is_blam
 def test_landmarks_that_ranges_or_bearings_alone_see_are_found(tag, bend, sides, vertices, tmp_path):
     """Without a place they were refused; from places of no meaning the minimum was another one."""
     rng, pose, lines, start = np.random.default_rng(2), gtsam.Pose2(), [], gtsam.Values()
+    start.insert(0, pose)
     for k in range(30):
-        start.insert(k, pose)
         pose, z = pose.compose(gtsam.Pose2(0.4, 0.0, bend)), np.array([0.4, 0.0, bend]) + rng.normal(0, 0.02, 3)
+        start.insert(k + 1, pose)
         lines.append(f"EDGE_SE2 {k} {k + 1} {z[0]} {z[1]} {z[2]} 2500 0 0 2500 0 2500")
         for j, place in enumerate(PLACES):
             measured = (pose.range(place) if tag == "RANGE" else pose.bearing(place).theta()) + rng.normal(0, 0.02)
             lines.append(f"EDGE_{tag}_SE2_XY {k + 1} {90 + j} {measured} 2500")
-    start.insert(30, pose)
     (tmp_path / "g.g2o").write_text(vertices + "\n".join([*lines, "FIX 0"]))
     found = page.opened(str(tmp_path / "g.g2o"), None, 0)
     for j, place in enumerate(PLACES):
@@ -436,10 +436,9 @@ PLACES, STEP = np.array([[4.0, 3.0], [-2.0, 5.0], [3.0, -4.0]]), "EDGE_SE2 {} {}
     "Pose2d_Pose2d_Factor {} {} (1, 0, 0.1) {{2,0,0,2,0,3}}", "EDGE_SE2 0.5 A{} A{} 1 0 0.1 0.25 0 0 0.25 0 0.111111",
 ])  # fmt: skip
 def test_other_dialects_are_read_and_written(form, tmp_path):
-    path, out = tmp_path / "g.txt", tmp_path / "out.txt"
-    path.write_text("\n".join(form.format(*pair) for pair in [(0, 1), (1, 2), (2, 3), (0, 3)]))
+    (path := tmp_path / "g.txt").write_text("\n".join(form.format(*pair) for pair in [(0, 1), (1, 2), (2, 3), (0, 3)]))
     found = page.opened(str(path), None, 0)
     assert found.graph.at(3).noiseModel().sigmas() == pytest.approx([0.5, 0.5, 1 / 3], rel=1e-4)
-    page.cured(found, out, 0)
-    again = page.opened(str(out), None, 0)
+    page.cured(found, path, 0)
+    again = page.opened(str(path), None, 0)
     assert again.graph.error(again.values) == pytest.approx(0.7, rel=0.01)
