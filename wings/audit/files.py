@@ -137,7 +137,7 @@ def _places(file: GraphFile) -> dict[int, tuple[bool, int]]:
         for key, number, kind in zip(ends(file, edge), edge.ends, file.kind(edge), strict=True):
             mine = kind in (POINT2, POINT3), number
             if out.setdefault(key, mine) != mine:
-                what = f"{edge.tag}: {number} is the key of a pose and of a point; ids from {INDEX + 1} up must differ"
+                what = f"{edge.tag}: {number} is the key of a pose and of a point (no range is read between poses)"
                 raise DataError.at(file.path, what, line=edge.line)
     return out
 
@@ -264,7 +264,7 @@ def across(file: GraphFile, graph: Graph, best: Values) -> tuple[Values, tuple[s
         here, there = misfit(sights(edges, best), np.array([place, value_of(start, key)]))
         if there < RIVAL * here + len(edges):
             lowest = graph.error(best)
-            end = optimized(graph, start, lowest)
+            end = optimized(graph, start, lowest) if len(edges) > len(place) else start
             close = graph.error(end) < lowest + ODDS * min(1.0, 2.0 * lowest / rows)
             if close and np.linalg.norm(value_of(end, key) - place) > np.linalg.norm(value_of(start, key) - place) / 2:
                 either.append(name(key))
