@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from data.command import Command, count
-from data.formats.graph_file import IN_SPACE_AS, NOISES
 from data.terminal import ending
 from eval.plan.flags import texts_of
 from eval.plan.flags.table import HELP
 
 PROG = "slamref audit"
+NOISES = ("information", "covariance", "root", "half-angle", "rotation-first")
 
 
 @ending()
@@ -24,7 +24,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     how.add_argument("--optimize", action="store_true", help="optimize first (default for a file)")
     how.add_argument("--as-given", action="store_true", help="take the values as they are (default for a function)")
     parser.add_argument("--out", metavar="DIR", type=Path, help="folder for tables and report.html")
-    parser.add_argument("--noise", choices=(*NOISES, *IN_SPACE_AS), help=HELP["audit_noise"])
+    parser.add_argument("--noise", choices=NOISES, help=HELP["audit_noise"])
     parser.add_argument("--rescale", metavar="FILE", type=Path, help=HELP["audit_rescale"])
     parser.add_argument("--rejected", choices=("leave-out", "robust"), default="leave-out", help=HELP["audit_rejected"])
     parser.add_argument("--steps", metavar="N", type=count, default=30, help=HELP["audit_steps"])
