@@ -14,7 +14,7 @@ import numpy as np
 from association.expectation import gate_threshold
 from data.blocks import block_diagonal
 from data.pose_measurements import expected_closure
-from data.se2 import Array, compose
+from data.se2 import Array, BoolArray, compose, wrap_angle
 from data.sensors import MIN_RANGE, EachSensor, Sensor
 
 SECOND_ORDER = 0.25
@@ -145,3 +145,32 @@ def _search(each: EachSensor, pose: Array, P: Array, z: Array, R: Array, start: 
     else:
         return None
     return Place(xy, np.linalg.inv(information), float(nu @ nu))
+
+
+AROUND, TRIED, REACH = 300, 5, (0.03, 30.0)  # places tried for each of so many measurements; on a ray in path's sizes
+
+
+class Sights(NamedTuple):
+    """Ranges and bearings of a landmark."""
+
+    centre: Array  # (m, d) from where
+    z: Array  # (m,) what; bearings in the world's axes
+    ray: BoolArray  # (m,) whether it is a bearing
+    root: Array  # (m,) of the information
+
+
+def misfit(s: Sights, place: Array) -> Array:
+    """Sum of the residuals' sizes (K,), in sigmas, of places (K, d)."""
+    apart = place[:, None] - s.centre
+    off = np.where(s.ray, np.arctan2(apart[..., 1], apart[..., 0]), np.linalg.norm(apart, axis=2)) - s.z
+    return np.asarray(np.abs(np.where(s.ray, wrap_angle(off), off) * s.root).sum(1))
+
+
+def met(s: Sights) -> Array:
+    """Of places around some poses at their range, or along their ray, that of least misfit."""
+    way = np.random.default_rng(0).normal(size=(AROUND, s.centre.shape[1]))
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    along, place = np.geomspace(*REACH, AROUND) * (np.ptp(s.centre, axis=0).max() or 1.0), list[Array]()
+    for m in np.unique(np.linspace(0, len(s.z) - 1, TRIED).astype(int)).tolist():
+        place.extend(s.centre[m] + (np.outer(along, [np.cos(s.z[m]), np.sin(s.z[m])]) if s.ray[m] else s.z[m] * way))
+    return place[np.argmin(misfit(s, np.array(place)))]

@@ -28,12 +28,12 @@ from data.log import Log
 from data.motion.velocity import floor_covariances
 from data.origin import Origin
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource
-from data.se2 import Array, BoolArray, inverse, wrap_angle
+from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
 from data.sensors import Bearing, Range, RangeBearing, RelativePoint, Sensor
 from data.truth import Truth
 
 POSE, POINT, FIX = "VERTEX_SE2", "VERTEX_XY", "FIX"
-MOTION, OBSERVATION, BEARING, RANGE = "EDGE_SE2", "EDGE_SE2_XY", "EDGE_BEARING_SE2_XY", "EDGE_RANGE_SE2_XY"
+MOTION, OBSERVATION, BEARING, RANGE = "EDGE_SE2", "EDGE_SE2_XY", graph_file.BEARING, graph_file.RANGE
 PRIOR, POSITION, RANGED = "EDGE_PRIOR_SE2", "EDGE_PRIOR_SE2_XY", "BR"
 KINDS = {"motion": 3, "observation": 2, "bearing": 1, "range": 1, "polar": 2, "prior": 3, "position": 2}
 """Edges of a graph, and what they measure."""
@@ -135,6 +135,8 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
     unknown = ("", np.full(3, np.nan))
     vertex = np.array([graph.file.poses.get(i, unknown)[1] for i in ids.tolist()])
     start = vertex[0] if np.isfinite(vertex[0]).all() else np.zeros(3)
+    if not graph.file.listed and len(row := np.flatnonzero(np.isfinite(vertex[:, 0]))):
+        start = compose(vertex[row[0]], inverse(se2.dead_reckoned(np.zeros(3), mean)[row[0]]))
     observations, label, sensors = _observations(graph, ids)
     origins: dict[str, Origin] = {"max_range": Origin.INFERRED} if len(label) else {}
     landmarks = None
@@ -168,7 +170,7 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
 def _frames(graph: Graph) -> IntArray:
     """Pose ids (N,) in the order of frames."""
     ends = [graph.motion.ends.ravel(), *(e.ends[:, 0] for _, e in graph.seen)]
-    ids = np.array(list(graph.file.poses), np.int64) if graph.file.poses else np.unique(np.concatenate(ends))
+    ids = np.array(list(graph.file.poses), np.int64) if graph.file.listed else np.unique(np.concatenate(ends))
     if len(ids) == 0:
         raise DataError.at(graph.file.path, "no pose: neither VERTEX_SE2 nor EDGE_SE2")
     for edges, columns in ((graph.motion, 2), *((e, 1) for _, e in graph.seen)):
@@ -300,7 +302,8 @@ def _closures(graph: Graph, ids: IntArray, used: IntArray) -> Closures | None:
 
 
 def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
-    notes = ["One pose has a line; the others begin where the edges put them"] if graph.file.alone else []
+    one = len(graph.file.poses) * (not graph.file.listed)
+    notes = ["One pose has a line; the others begin where the edges put them"] * one
     if loops := len(graph.motion) - len(used):
         notes.append(f"{loops} {MOTION} outside the chain of poses are its closures")
     if graph.file.fixed and graph.file.fixed != [int(ids[0])]:

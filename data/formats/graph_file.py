@@ -2,8 +2,8 @@
 docs/notes/audit.md lists the lines that are read.
 
 I: information, upper triangle row by row; in space translation first. As gtsam's reader, and unlike g2o, the rotation's
-information is of the angle, not of the quaternion's half angle. Poses and points have ids of their own. An edge without
-information is assumed to have the identity. Measurements of sensors with an offset become those of the robot.
+information is, by default, of the angle, not of the quaternion's half angle. Poses and points have ids of their own. An
+edge without information is assumed to have the identity. Measurements of sensors with an offset become the robot's.
 
 Programs disagree on the noise N of text: gtsam reads covariances, iSAM the root R of an information R'R, upper
 triangle. Where a reader does not say, numbers below 1 are covariances, larger ones roots: a position is known to less
@@ -11,6 +11,7 @@ than a metre. So are EDGE2 in the order of rows, which iSAM writes; in Toro's or
 """
 
 import math
+import re
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -40,21 +41,30 @@ EDGES = {
     "EDGE_SE2_POINTXY_OFFSET": (2, 2, POSE2, POINT2),
     "EDGE_SE2_SWITCHABLE": (3, 3, POSE2, POSE2), "EDGE_SE3_SWITCHABLE": (7, 6, POSE3, POSE3),
     "EDGE_SE3:QUAT": (7, 6, POSE3, POSE3), "EDGE3": (6, 6, POSE3, POSE3), "EDGE_SE3_TRACKXYZ": (3, 3, POSE3, POINT3),
+    "EDGE_SE3_XYZ": (3, 3, POSE3, POINT3),
 }  # fmt: skip
 """Measured values, residuals, and the kinds of both ends."""
 SWITCHED = ("EDGE_SE2_SWITCHABLE", "EDGE_SE3_SWITCHABLE")
 IDS = {"EDGE_SE3_TRACKXYZ": 3, "EDGE_SE2_POINTXY_OFFSET": 3, "EDGE_SE2_OFFSET": 4, **dict.fromkeys(SWITCHED, 3)}
 """Ids of an edge and of its parameters, where these are not two."""
+BEARING, RANGE = "EDGE_BEARING_SE2_XY", "EDGE_RANGE_SE2_XY"
 IN_SPACE, POSE_IN_SPACE = "EDGE_SE3_PRIORXYZ", "EDGE_SE3_PRIOR"
 PRIORS = {"EDGE_PRIOR_SE2": (3, 3), "EDGE_PRIOR_SE2_XY": (2, 2), IN_SPACE: (3, 3), POSE_IN_SPACE: (7, 6)}  # as of edges
 OFFSETS = {"PARAMS_SE3OFFSET": 7, "PARAMS_SE2OFFSET": 3}
 TEXT = ("ODOMETRY", "CONSTRAINT", "CONSTRAINT2", "LANDMARK")  # in any case
-TUTORIAL = {
+ALIASES = {
     "TUTORIAL_VERTEX_SE2": "VERTEX_SE2", "TUTORIAL_VERTEX_POINT_XY": "VERTEX_XY", "TUTORIAL_EDGE_SE2": "EDGE_SE2",
     "TUTORIAL_EDGE_SE2_POINT_XY": "EDGE_SE2_POINTXY_OFFSET", "TUTORIAL_PARAMS_SE2_OFFSET": "PARAMS_SE2OFFSET",
+    "VERTEX": "VERTEX2", "EDGE": "EDGE2", "VERTEX_POINT_XY": "VERTEX_XY", "EDGE_SE2_POINT_XY": "EDGE_SE2_XY",
+    "VERTEX_XYZ": "VERTEX_TRACKXYZ", "VERTEX_POINT_XYZ": "VERTEX_TRACKXYZ", "EDGE_SE3_POINT_XYZ": "EDGE_SE3_XYZ",
+    "POSE2D_NODE": "VERTEX_SE2", "POINT2D_NODE": "VERTEX_XY", "POSE2D_POSE2D_FACTOR": "ODOMETRY",
+    "POSE2D_POINT2D_FACTOR": "LANDMARK", "VERTEX_SE2:PRIOR": "EDGE_PRIOR_SE2", "EDGE_RANGE": RANGE,
 }  # fmt: skip
-"""Types of g2o's tutorial, and those with the same values."""
+"""Types of g2o's tutorial, old Toro, iSAM's files and PyFG, and those with the same values."""
+NAMED = re.compile("[A-Za-z][0-9]{1,16}")  # a name, as of gtsam's keys
 INFORMATION, COVARIANCE, ROOT = NOISES = ("information", "covariance", "root")  # What the noise of text states
+IN_SPACE_AS = {"half-angle": np.diag([1.0, 1, 1, 0.5, 0.5, 0.5]), "rotation-first": np.eye(6)[[3, 4, 5, 0, 1, 2]]}
+"""What else the information in space states: the error that it is of, from that of the angle, translation first."""
 TORO = [0, 1, 4, 2, 5, 3]  # places of I11 I12 I13 I22 I23 I33 among the six of an EDGE2
 MOST_TAGS = 8  # of a file's own that a refusal lists
 LONG = 40  # characters; Python reads no whole number of thousands
@@ -97,7 +107,13 @@ class GraphFile:
     priors: list[Edge] = field(default_factory=list)  # measured poses and positions, both ends the same
     noise: str = ""  # what text states, one of `NOISES`, or "" without text
     rows: bool = False  # EDGE2 are in the order of rows
-    alone: bool = False  # one pose has a line, and the others begin where the edges put them
+    named: bool = False  # PyFG: variables have names, and all noise is stated as that of text
+    space: str = ""  # what the information in space states, one of `IN_SPACE_AS`, or ""
+
+    @property
+    def listed(self) -> bool:
+        """Whether poses have lines, not one that edges lead from alone: the others begin where these put them."""
+        return len(self.poses) > any(self.poses.keys() & set(e.ends) for e in self.edges)
 
     def kind(self, edge: Edge) -> tuple[str, str]:
         """Kinds of the variables at both ends."""
@@ -105,11 +121,11 @@ class GraphFile:
 
     def states(self, edge: Edge) -> str:
         """What the noise of an edge states, one of `NOISES`."""
-        return self.noise if edge.tag in TEXT or (edge.tag == "EDGE2" and self.rows) else INFORMATION
+        return self.noise if self.named or edge.tag in TEXT or (edge.tag == "EDGE2" and self.rows) else INFORMATION
 
 
 def read_graph_file(path: Path, noise: str | None = None, *, bare: bool = False) -> GraphFile:
-    """Read a graph. `noise`: what text states, one of `NOISES`; None: as the numbers suggest. `bare`: vertices suffice.
+    """Read a graph. `noise`: one of `NOISES`, `IN_SPACE_AS`; None: as the numbers suggest. `bare`: vertices suffice.
 
     Raises DataError with line and value: wrong fields, a number that is none, an information matrix that is not
     positive definite, a quaternion that is no rotation, an id that is repeated, or of two kinds, a pose without its
@@ -121,10 +137,14 @@ def read_graph_file(path: Path, noise: str | None = None, *, bare: bool = False)
 def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool = False) -> GraphFile:
     """The graph of a text; errors, as of `read_graph_file`, name the path."""
     lines = text.splitlines()
-    words = [(number, line.split("#")[0].split()) for number, line in enumerate(lines, start=1)]
-    words = [(number, [known_tag(w[0]), *w[1:]]) for number, w in words if w]
+    words = [(number, words_of(line)) for number, line in enumerate(lines, start=1)]
+    words = [(number, w) for number, w in words if w[0]]
     rows, meant = _layout(words)
-    graph = GraphFile(path, lines, {}, {}, [], [], {}, {}, noise=(noise or meant) if meant else "", rows=rows)
+    if named := any(NAMED.fullmatch(word) for line in lines if line.startswith("EDGE") for word in line.split()[2:3]):
+        meant = COVARIANCE
+    space, noise = (noise or "", None) if noise in IN_SPACE_AS else ("", noise)
+    noise = (noise or meant) if meant else ""
+    graph = GraphFile(path, lines, {}, {}, [], [], {}, {}, noise=noise, rows=rows, space=space, named=named)
     for number, (tag, *fields) in words:  # before the edges that name them
         if tag in OFFSETS:
             (key,), values = _fields(path, number, tag, fields, 1, OFFSETS[tag])
@@ -160,39 +180,25 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
     if not graph.edges and not (bare and graph.poses):
         tags = Counter(w[0][:LONG] for _, w in words if w[0][0].isalpha()).most_common(MOST_TAGS)
         has = f"no edge of a graph among {', '.join(f'{n} {tag}' for tag, n in tags)}" if tags else "no edge of a graph"
-        raise DataError.at(path, f"{has}; lines of g2o or Toro are needed, with a tag of {', '.join(EDGES)}")
+        untagged = f"; rows i j x y theta get one by sed -n 's/,/ /g; s/^[0-9]/EDGE_SE2 &/p' {path.name} > graph.g2o"
+        raise DataError.at(path, f"{has}; lines of g2o or Toro are needed, with a tag of {', '.join(EDGES)}{untagged}")
     turns = np.abs([e.measured[2] for e in graph.edges if graph.kind(e) == (POSE2, POSE2)])
     if 2 * (turns > 2.0 * math.pi).sum() > np.count_nonzero(turns):
         raise DataError.at(path, "turns of most edges exceed 2 pi, as in degrees; rad, in their noise too, are needed")
-    alone = bool(graph.edges) and len(graph.poses) == 1
-    if alone:
-        _begin(graph)
     _check(graph)
-    return replace(graph, alone=alone)
+    return graph
 
 
-def _begin(graph: GraphFile) -> None:
-    """Put poses in the plane without a line where edges from the one that has one do, in the order of the file."""
-    planar = next(iter(graph.poses.values()))[0] == POSE2
-    edges = [e for e in graph.edges if planar and graph.kind(e) == (POSE2, POSE2)]
-    while edges:
-        left = list[Edge]()
-        for e in edges:
-            (a, b), z = e.ends, e.measured
-            if a in graph.poses and b not in graph.poses:
-                graph.poses[b] = POSE2, compose(graph.poses[a][1], z)
-            elif b in graph.poses and a not in graph.poses:
-                graph.poses[a] = POSE2, compose(graph.poses[b][1], inverse(z))
-            elif a not in graph.poses:
-                left.append(e)
-        if len(left) == len(edges):  # not joined with it
-            return
-        edges = left
-
-
-def known_tag(tag: str) -> str:
-    """The tag as it is known: those of text are written in any case, those of g2o's tutorial are others' equals."""
-    return tag.upper() if tag.upper() in TEXT else TUTORIAL.get(tag, tag)
+def words_of(line: str, *, plain: bool = True) -> list[str]:
+    """Words of a line, also in brackets, without its comment; the tag as known; `plain`: PyFG's names as keys."""
+    text = line.split("#")[0]
+    divided = "(" in text or re.match(r"\s*[\w:]+[,;]", text)
+    tag, *fields = (re.sub("[,;(){}]", " ", text) if divided else text).split() or [""]
+    upper = tag.upper().rstrip(":")
+    if plain and any(map(NAMED.fullmatch, fields[:2])):
+        fields = fields[NAMED.fullmatch(fields[0]) is None :]  # without its stamp
+        fields = [str((ord(f[0]) << 56) + int(f[1:])) if NAMED.fullmatch(f) else f for f in fields]
+    return [ALIASES.get(upper, upper), *fields]
 
 
 def _layout(words: list[tuple[int, list[str]]]) -> tuple[bool, str]:
@@ -219,7 +225,7 @@ def _check(graph: GraphFile) -> None:
     for edge in graph.edges:
         for key, kind in zip(edge.ends, graph.kind(edge), strict=True):
             point, what = kind in (POINT2, POINT3), ""
-            if graph.poses and not point and key not in graph.poses:
+            if graph.listed and not point and key not in graph.poses:
                 what = f"vertex {key} is missing; each pose needs its line, or none has one"
             elif kinds.setdefault((point, key), kind) != kind:
                 what = f"{key} is a {kinds[point, key]}, where a {kind} is needed"
@@ -229,7 +235,7 @@ def _check(graph: GraphFile) -> None:
         where, kind = ("space", POSE3) if prior.tag in (IN_SPACE, POSE_IN_SPACE) else ("the plane", POSE2)
         if kinds.get((False, prior.ends[0])) != kind:
             raise DataError.at(path, f"prior of {prior.ends[0]}: no pose in {where} has this id", line=prior.line)
-    missing = next((key for key in graph.fixed if key not in graph.poses and key not in graph.points), None)
+    missing = next((key for key in graph.fixed if not kinds.keys() & {(False, key), (True, key)}), None)
     if missing is not None:
         raise DataError.at(path, f"FIX {missing}: vertex {missing} is missing")
 
@@ -269,10 +275,13 @@ def _prior(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
     if sensor and offset not in graph.offsets:
         raise DataError.at(graph.path, f"{tag}: no PARAMS_SE3OFFSET {offset}, the sensor's place on it", line=line)
     z, information = _pose(graph.path, line, tag, values[:measured]), symmetric(values[None, measured:])[0]
+    A = IN_SPACE_AS.get(graph.space, np.eye(6))
+    information = np.asarray(A.T @ information @ A) if d == 6 else information
     if d == 6 and not information[3:].any() and not (sensor and graph.offsets[offset][:3].any()):
         R = Rotation.from_quat(z[3:]).as_matrix()
         tag, z, information, offset = IN_SPACE, z[:3], R @ information[:3, :3] @ R.T, -1
     _require_definite(graph.path, line, tag, information)
+    information = np.asarray(np.linalg.inv(information)) if graph.named else information
     return Edge(tag, (key, key), z, information, line, offset)
 
 
@@ -294,6 +303,9 @@ def _edge(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
         edge = replace(edge, information=_stated(graph, edge, values[measured:]))
     if tag == "EDGE_SE3_TRACKXYZ":
         return replace(edge, parameter=keys[2])
+    if d == 6 and graph.space:
+        A = IN_SPACE_AS[graph.space]
+        edge = replace(edge, information=np.asarray(A.T @ edge.information @ A), carried=np.linalg.inv(A))
     if tag in SWITCHED:
         return edge
     for key in keys[2:]:
@@ -371,9 +383,9 @@ def with_information(graph: GraphFile, information: dict[int, Array], left_out: 
         if k in left_out:
             lines[edge.line - 1] = f"# left out: {lines[edge.line - 1]}"
         elif k in information:
-            words = lines[edge.line - 1].split("#")[0].split()
-            measured, d, *_ = EDGES[tag := known_tag(words[0])]
-            keep = words[: 1 + IDS.get(tag, 2) + measured]
+            words, plain = words_of(lines[edge.line - 1], plain=False), words_of(lines[edge.line - 1])
+            measured, d, *_ = EDGES[tag := words[0]]
+            keep = words[: len(words) - len(plain) + 1 + IDS.get(tag, 2) + measured]
             stated, states = information[k], graph.states(edge)
             if edge.carried is not None:
                 stated = edge.carried.T @ stated @ edge.carried

@@ -72,12 +72,12 @@ MAP = frozenset(("map", "landmark", "anchor", "beacon", "marker"))
 
 def edges_of(path: Path) -> tuple[int, int]:
     """Numbers of relations of poses and of observations of landmarks in a file of a graph; zeros for any other."""
-    from data.formats.graph_file import EDGES, known_tag
+    from data.formats.graph_file import EDGES, words_of
 
     if path.suffix.lower() not in GRAPHS or not path.is_file():
         return 0, 0
     with path.open(errors="replace") as lines:
-        tags = (known_tag(line.split(maxsplit=1)[0]) for line in lines if line.strip())
+        tags = (words_of(line)[0] for line in lines)
         ends = [EDGES[tag][2:] for tag in tags if tag in EDGES]
     relations = sum(first == second for first, second in ends)
     return relations, len(ends) - relations

@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from association.expectation import gate_threshold
+from association.triangulate import Sights, met
 from data.inputs import Inputs, IntArray
 from data.notice import Code, notice, stopped
 from data.result import DISCARD, Failure, Run, Trajectory, map_estimate, map_with
@@ -68,7 +69,8 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run], eno
                 np.zeros(len(given or ()), bool) if done is None else np.isfinite(done.nis) & ~done.used
                 for given, done in parts
             ])  # fmt: skip
-            result = _lowest(inputs, final, initialized, [*own, *further], loss, outside, enough)
+            met = [partial(_chordal, inputs, initialized, final)] * (inputs.map is None and inputs.several_or_partial)
+            result = _lowest(inputs, final, initialized, [*own, *further, *met], loss, outside, enough)
     except UnderConstrained as stop:
         return failed(Failure("diverged", 0, stopped(str(stop))), time.perf_counter() - begin)
     seconds = time.perf_counter() - begin
@@ -146,10 +148,10 @@ def _start_of(other: Callable[[], Run], inputs: Inputs, initialized: IntArray) -
     return start_at(inputs, run, initialized)
 
 
-def _chordal(inputs: Inputs, initialized: IntArray) -> Start:
-    """The chordal path, with landmarks where they were observed first."""
+def _chordal(inputs: Inputs, initialized: IntArray, final: IntArray | None = None) -> Start:
+    """The chordal path, with landmarks where they were observed first, or all their ranges or bearings meet."""
     pose = chordal_path(inputs)
-    return Start(pose, _places(inputs, pose, initialized))
+    return Start(pose, _places(inputs, pose, initialized, final))
 
 
 def start_at(inputs: Inputs, front: Run, initialized: IntArray) -> Start:
@@ -169,8 +171,8 @@ def start_at(inputs: Inputs, front: Run, initialized: IntArray) -> Start:
     return Start(front.online.pose, places, errors)
 
 
-def _places(inputs: Inputs, pose: Array, initialized: IntArray) -> Array:
-    """Landmarks (L, 2) where they were initialized, seen from poses (N, 3), or in an uncertain map."""
+def _places(inputs: Inputs, pose: Array, initialized: IntArray, final: IntArray | None = None) -> Array:
+    """Landmarks (L, 2) where they were initialized, or by `final` decisions, from poses (N, 3); of an uncertain map."""
     if inputs.map is not None:
         return inputs.map.xy.copy() if inputs.map.sigma is not None else np.zeros((0, 2))
     places, o = np.full((int(initialized.max(initial=-1)) + 1, 2), np.nan), inputs.observations
@@ -178,4 +180,9 @@ def _places(inputs: Inputs, pose: Array, initialized: IntArray) -> Array:
         sensor = inputs.sensor_at(int(i))
         if sensor.locates:
             places[initialized[i]] = sensor.inverse(pose[o.frame[i]], o.z[i : i + 1])[0][0]
+        elif final is not None and np.isnan(places[initialized[i], 0]):
+            rows = np.flatnonzero((final == initialized[i]) | (initialized == initialized[i]))
+            k, at = np.where(inputs.measured()[rows, 0], 0, 1), pose[o.frame[rows]]
+            z = o.z[rows, k] + k * (at[:, 2] - sensor.rotation)
+            places[initialized[i]] = met(Sights(at[:, :2], z, k == 1, 1.0 / np.sqrt(o.R[rows, k, k])))
     return places

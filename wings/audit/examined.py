@@ -100,6 +100,10 @@ class AuditReport:
     minima: tuple[Second, ...] = ()
     questions: tuple[Question, ...] = ()
     unread: tuple[str, ...] = ()
+    met: tuple[str, ...] = ()  # landmarks without a stated place that ranges or bearings alone see
+    either: tuple[str, ...] = ()  # of ranges, that fit on both sides of the path
+    even: tuple[float, ...] = ()  # information that relations of poses state for m and rad alike, if all do
+    space: bool = False  # relations in space are read by gtsam's convention
     held: int = 0  # directions of the gauge that a fixed vertex ties
     optimized: bool = False  # whether the optimizer ran first
 

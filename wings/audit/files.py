@@ -1,12 +1,9 @@
-"""A graph file as a gtsam graph with values, and its optimum; a user's function that builds both."""
+"""A graph file as a gtsam graph with values, and its optimum."""
 
-import importlib.util
-import sys
 from collections import deque
 from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import gtsam
@@ -14,13 +11,14 @@ import numpy as np
 from gtsam.symbol_shorthand import L
 from gtsam_unstable import DeltaFactor
 
-from data.errors import DataError, UsageError
-from data.formats.graph_file import IN_SPACE, POINT2, POINT3, POSE2, POSE3, Edge, GraphFile
+from association.triangulate import Sights, met, misfit
+from data.errors import DataError
+from data.formats.graph_file import BEARING, IN_SPACE, POINT2, POINT3, POSE2, POSE3, RANGE, Edge, GraphFile
 from data.inputs import IntArray
 from data.origin import Origin
 from data.se2 import Array
 from graph.batch import chordal
-from wings.audit.linear import System, factorize, linearize, ordering, step, value_of
+from wings.audit.linear import Graph, System, Values, factorize, linearize, name, ordering, step, value_of
 
 FREE = 30.0  # rad, sigma of a rotation from which nothing was measured
 AS_POINT = {"EDGE_SE2": ("EDGE_SE2_XY", POINT2, 2), "EDGE_SE3:QUAT": ("EDGE_SE3_TRACKXYZ", POINT3, 3)}
@@ -114,7 +112,7 @@ def build(file: GraphFile, robust: Collection[int] = ()) -> tuple[gtsam.Nonlinea
         names.append("prior" if len(prior.measured) in (3, 7) and prior.tag != IN_SPACE else "position")
     if len(file.fixed) > 1 or (file.fixed and file.priors):
         for key in dict.fromkeys(file.fixed):
-            place = key if key in file.poses else point_key(key)
+            place = key if values.exists(key) else point_key(key)
             if values.exists(place):
                 graph.add(tied(values, place, N.Constrained.All))
                 names.append("fixed")
@@ -139,12 +137,12 @@ def _places(file: GraphFile) -> dict[int, tuple[bool, int]]:
         for key, number, kind in zip(ends(file, edge), edge.ends, file.kind(edge), strict=True):
             mine = kind in (POINT2, POINT3), number
             if out.setdefault(key, mine) != mine:
-                what = f"{edge.tag}: {number} is the key of a pose and of a point; ids from {INDEX + 1} up must differ"
+                what = f"{edge.tag}: {number} is the key of a pose and of a point (no range is read between poses)"
                 raise DataError.at(file.path, what, line=edge.line)
     return out
 
 
-NAMES = {"BR": "bearing-range", "EDGE_BEARING_SE2_XY": "bearing", "EDGE_RANGE_SE2_XY": "range"}  # of kinds, by tag
+NAMES = {"BR": "bearing-range", BEARING: "bearing", RANGE: "range"}  # of kinds, by tag
 
 
 def tied(values: gtsam.Values, key: int, noise: Callable[[int], Any]) -> Any:
@@ -174,9 +172,9 @@ def _factor(file: GraphFile, edge: Edge, robust: bool) -> gtsam.NonlinearFactor:
         return gtsam.BetweenFactorPose3(i, j, pose3(z), model)
     if edge.tag == "BR":
         return gtsam.BearingRangeFactor2D(i, j, gtsam.Rot2(z[0]), z[1], model)
-    if edge.tag == "EDGE_BEARING_SE2_XY":
+    if edge.tag == BEARING:
         return gtsam.BearingFactor2D(i, j, gtsam.Rot2(z[0]), model)
-    if edge.tag == "EDGE_RANGE_SE2_XY":
+    if edge.tag == RANGE:
         return gtsam.RangeFactor2D(i, j, float(z[0]), model)
     if len(z) == 2:
         return DeltaFactor(i, j, z, model)
@@ -205,7 +203,7 @@ def _follow(file: GraphFile, values: gtsam.Values) -> None:
     for k, (i, j) in enumerate(keys):
         for key in (i, j):
             near.setdefault(key, []).append((abs(i - j), k))
-    for start in sorted({i for i, _ in keys}):
+    for start in sorted({i for i, _ in keys}, key=lambda i: (not values.exists(i), i)):
         if not values.exists(start):
             kind = file.kind(file.edges[near[start][0][1]])[0]
             values.insert(start, gtsam.Pose2() if kind == POSE2 else gtsam.Pose3())
@@ -221,18 +219,16 @@ def _follow(file: GraphFile, values: gtsam.Values) -> None:
                 if value is not None:
                     values.insert(other, value)
                     (queue.appendleft if abs(other - key) == 1 else queue.append)(other)
-    for edge, pair in zip(file.edges, keys, strict=True):
-        lost = next((number for number, key in zip(edge.ends, pair, strict=True) if not values.exists(key)), None)
-        if lost is not None:
-            what = f"vertex {lost} has no place: only bearings or ranges see it; its VERTEX line is needed"
-            raise DataError.at(file.path, what)
+    for key, some in seen(file).items():
+        if not values.exists(key):
+            values.insert(key, met(sights(some, values)))
 
 
 def _beyond(file: GraphFile, edge: Edge, values: gtsam.Values, key: int) -> Any:
     """Value of the other end of an edge, None where it does not say."""
     z, (first, second) = edge.measured, file.kind(edge)
     if first != (kind := second):
-        if key != edge.ends[0] or edge.tag in ("EDGE_BEARING_SE2_XY", "EDGE_RANGE_SE2_XY"):
+        if key != edge.ends[0] or edge.tag in (BEARING, RANGE):
             return None
         if edge.tag == "BR":
             z = z[1] * np.array([np.cos(z[0]), np.sin(z[0])])
@@ -246,6 +242,44 @@ def _beyond(file: GraphFile, edge: Edge, values: gtsam.Values, key: int) -> Any:
     return here.compose(step_ if key == edge.ends[0] else step_.inverse())
 
 
+RIVAL, ODDS = 10.0, np.log(1000.0)  # times the misfit up to which the other side is tried; difference of errors, named
+
+
+def seen(file: GraphFile) -> dict[int, list[Edge]]:
+    """Edges of the landmarks, by key, that ranges and bearings alone see."""
+    out: dict[int, list[Edge]] = {}
+    for edge in file.edges:
+        if file.kind(edge)[1] in (POINT2, POINT3):
+            out.setdefault(ends(file, edge)[1], []).append(edge)
+    return {key: some for key, some in out.items() if all(e.tag in (BEARING, RANGE) for e in some)}
+
+
+def across(file: GraphFile, graph: Graph, best: Values) -> tuple[Values, tuple[str, ...]]:
+    """The lowest minimum with such landmarks on either side of the path, and those that fit about as well on both."""
+    either, rows = list[str](), sum(graph.at(i).dim() for i in range(graph.size()))
+    for key, edges in seen(file).items():
+        centre, place, start = sights(edges, best).centre, np.asarray(value_of(best, key)), gtsam.Values(best)
+        normal = np.linalg.svd(centre - centre.mean(0))[2][-1]
+        start.update(key, place - 2.0 * ((place - centre.mean(0)) @ normal) * normal)
+        here, there = misfit(sights(edges, best), np.array([place, value_of(start, key)]))
+        if there < RIVAL * here + len(edges):
+            lowest = graph.error(best)
+            end = optimized(graph, start, lowest) if len(edges) > len(place) else start
+            close = graph.error(end) < lowest + ODDS * min(1.0, 2.0 * lowest / rows)
+            if close and np.linalg.norm(value_of(end, key) - place) > np.linalg.norm(value_of(start, key) - place) / 2:
+                either.append(name(key))
+            best = min(best, end, key=graph.error)
+    return best, tuple(either)
+
+
+def sights(edges: list[Edge], values: gtsam.Values) -> Sights:
+    """What ranges and bearings of a landmark measured, from where."""
+    poses: list[Any] = [value_of(values, e.ends[0]) for e in edges]
+    ray = np.array([e.tag == BEARING for e in edges])
+    z = np.array([e.measured[0] + (p.theta() if e.tag == BEARING else 0.0) for e, p in zip(edges, poses, strict=True)])
+    return Sights(np.array([p.translation() for p in poses]), z, ray, np.sqrt([e.information[0, 0] for e in edges]))
+
+
 EDGES, CHORDAL = "the path along the edges", "the chordal start"
 
 
@@ -253,15 +287,14 @@ def other_starts(file: GraphFile, values: gtsam.Values) -> dict[str, gtsam.Value
     """Starts by name, shifted onto the first pose of `values`: along the edges, if there are vertices, and chordal."""
     out = {}
     first = min(edge.ends[0] for edge in file.edges)  # a pose, of every kind of edge
-    for name, poses in ((EDGES, {}), (CHORDAL, chordal_start(file))):
-        if (name == EDGES and not file.poses) or (name == CHORDAL and not poses):
+    for title, poses in ((EDGES, {}), (CHORDAL, chordal_start(file))):
+        if (title == EDGES and not file.poses) or (title == CHORDAL and not poses):
             continue
         start = gtsam.Values()
         for key, pose in poses.items():
             start.insert(key, pose)
-        with suppress(DataError):  # a landmark that bearings alone see has no place
-            _follow(replace(file, poses={}, points={}), start)
-            out[name] = _shifted(start, value_of(values, first).compose(value_of(start, first).inverse()))
+        _follow(replace(file, poses={}, points={}), start)
+        out[title] = _shifted(start, value_of(values, first).compose(value_of(start, first).inverse()))
     return out
 
 
@@ -327,28 +360,3 @@ def _by_gtsam(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, dogleg
             return gtsam.DoglegOptimizer(held, values, exact).optimize()
         return gtsam.LevenbergMarquardtOptimizer(held, values, exact).optimize()
     return values
-
-
-def built_by(place: str) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """Graph and values that `FILE.py:FUNCTION` returns. Raises UsageError for anything else."""
-    file, _, name = place.rpartition(":")
-    path = Path(file)
-    if not path.is_file():
-        raise UsageError(f"{place}: no file {path}")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.path.insert(0, str(path.parent.resolve()))
-    try:
-        spec.loader.exec_module(module)
-    finally:
-        sys.path.pop(0)
-    function = getattr(module, name, None)
-    if not callable(function):
-        raise UsageError(f"{place}: {path} has no function {name!r}")
-    made = function()
-    match made:
-        case (gtsam.NonlinearFactorGraph() as graph, gtsam.Values() as values):
-            return graph, values
-    raise UsageError(f"{place}: {name} returned {type(made).__name__}; (NonlinearFactorGraph, Values) is needed")

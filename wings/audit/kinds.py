@@ -24,7 +24,7 @@ AXES: dict[str, tuple[str, ...]] = {
     "Projection": ("u", "v"),
 }  # fmt: skip
 """Names of the residuals, by a part of the name of the factor's class; gtsam puts a Pose3's rotation first."""
-MIXED, UNSTATED = ("Pose2", "Pose3", "BearingRange", "DeltaFactor"), ", no noise stated"
+MIXED, UNSTATED = ("Pose2", "Pose3", "Bearing", "Range", "DeltaFactor"), ", no noise stated"
 POINTS = {"Pose2": (0, 1), "Pose3": (3, 4, 5)}  # components of a pose's tangent that are a position in m
 
 Grouping = Callable[[int, gtsam.NonlinearFactor], str] | Sequence[str] | None

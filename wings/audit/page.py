@@ -14,9 +14,11 @@ from data.errors import UsageError
 from data.formats.graph_file import Edge, GraphFile, graph_file_of, read_graph_file, with_information
 from data.origin import Origin
 from data.se2 import Array
+from eval.replay.external.adapter import load
+from eval.replay.external.spec import settled
 from wings.audit.audit import DRAWS, LOG_FAMILY, TURNS, Audit, Told, examined, places, unheard
 from wings.audit.examined import AuditReport, Second, reported
-from wings.audit.files import EDGES, LAST_FIRST, build, built_by, optimized, other_starts, point_key, with_landmarks
+from wings.audit.files import EDGES, LAST_FIRST, across, build, optimized, other_starts, point_key, seen, with_landmarks
 from wings.audit.linear import Graph, Values, name, value_of
 
 LARGEST, SMALL = 6000, 2000  # factors up to which other starts are tried, and the graph is solved without a factor
@@ -49,8 +51,12 @@ def opened(
         if not (script.endswith(".py") and function.isidentifier()):
             file = read_graph_file(Path(place), noise)
             return _of_file(file, audit, resolve, optimize=optimize is not False, told=told)
-        graph, values = built_by(place)
-        values = optimized(graph, values) if optimize else values
+        made = load(settled("GRAPH", place, "maintenance")).thing()
+        match made:
+            case (gtsam.NonlinearFactorGraph() as graph, gtsam.Values() as values):
+                values = optimized(graph, values) if optimize else values
+            case _:
+                raise UsageError(f"{place} returned {type(made).__name__}; (NonlinearFactorGraph, Values) is needed")
         report = replace(_reported(audit(graph, values, None), graph, values, resolve), optimized=bool(optimize))
         return Opened(report, graph, values, None)
 
@@ -64,17 +70,26 @@ def _of_file(
 ) -> Opened:
     graph, values, names = build(file := with_landmarks(file))
     told("opened", factors=graph.size(), variables=values.size())
-    ends: dict[str, Values] = {}
-    if optimize:  # of several minima the lowest is examined
-        ends = _ends(file, graph, values)
-        values = min(ends.values(), key=graph.error)
+    ends = _ends(file, graph, values) if optimize else {}  # of several minima the lowest is examined
+    values, either = across(file, graph, min(ends.values(), key=graph.error)) if ends else (values, ())
+    if optimize:
         told("optimized", chi2=2.0 * graph.error(values))
     report = _reported(audit(graph, values, names), graph, values, resolve)
     unread = tuple(f"{count} {tag}" for tag, count in file.other.items())
     minima = _minima(ends, graph, values, report)
     (fixed,) = file.fixed if len(file.fixed) == 1 and not file.priors else (None,)
-    held = 0 if fixed is None else values.dims().get(fixed if fixed in file.poses else point_key(fixed), 0)
-    return Opened(replace(report, minima=minima, unread=unread, held=held, optimized=optimize), graph, values, file)
+    held = 0 if fixed is None else values.dims().get(fixed if values.exists(fixed) else point_key(fixed), 0)
+    met = tuple(name(key) for key, some in seen(file).items() if some[0].ends[1] not in file.points)
+    space = not file.space and any(e.origin is Origin.STATED and len(e.measured) == 7 for e in file.edges)
+    report = replace(report, minima=minima, unread=unread, met=met, either=either, held=held, optimized=optimize)
+    return Opened(replace(report, even=_even(file), space=space), graph, values, file)
+
+
+def _even(file: GraphFile) -> tuple[float, ...]:
+    """The information of relations of poses if each states one number for m and rad."""
+    relations = [e.information for e in file.edges if e.origin is Origin.STATED and len(e.information) > 2]
+    alone = sorted({float(P[0, 0]) for P in relations})
+    return tuple(alone) if all(np.array_equal(P, P[0, 0] * np.eye(len(P))) for P in relations) else ()
 
 
 def rows_of(graph: Graph) -> int:
@@ -89,9 +104,9 @@ def _ends(file: GraphFile, graph: Graph, values: Values) -> dict[str, Values]:
     poor = BAD * max(rows_of(graph) - sum(values.dims().values()), 1)
     if graph.size() > LARGEST and 2.0 * graph.error(values) > FAR_OFF * poor:
         starts = other_starts(file, values)
-        name = min(starts, key=lambda start: graph.error(starts[start]), default="")
-        if name and FAR_OFF * graph.error(starts[name]) < graph.error(values):
-            return {name: optimized(graph, starts[name])}
+        near = min(starts, key=lambda start: graph.error(starts[start]), default="")
+        if near and FAR_OFF * graph.error(starts[near]) < graph.error(values):
+            return {near: optimized(graph, starts[near])}
     first, small = VERTICES if file.poses else EDGES, graph.size() <= LARGEST
     starts = {first: values} | (other_starts(file, values) if small else {})
     ends, least = dict.fromkeys(starts, values), np.inf
@@ -128,7 +143,8 @@ def cured(before: Opened, out: Path, draws: int = DRAWS, seed: int = 0, *, robus
         made = cure(before.file, before.report.audit, before.values, robust=robust)
         text = with_information(before.file, made.information, made.left_out)
         out.write_text(text, encoding="utf-8", newline="\n")
-        after = _of_file(graph_file_of(out, text), partial(examined, draws=draws, seed=seed))
+        noise = before.file.space or before.file.noise or None
+        after = _of_file(graph_file_of(out, text, noise), partial(examined, draws=draws, seed=seed))
     return pd.DataFrame([_row("before", before.report.audit), _row("after", after.report.audit, made)])
 
 

@@ -13,6 +13,7 @@ from data.sensors import Bearing, Range, RangeBearing, RelativePoint, Sensor
 from data.truth import Truth
 from eval.referee import consistency
 from eval.referee.score import confusion_of
+from eval.replay.batch import _chordal
 from eval.replay.run import compare, step_by_step
 from tests.builders.logs import increments_of, inputs_of
 from tests.quick import slow
@@ -84,6 +85,14 @@ def test_localization_is_consistent(sensors, name):
         nees.append(consistency.nees(path.pose, path.covariance, log.truth.pose, "pose").mean())
     assert abs(nis - dof) <= 4.0 * np.sqrt(2.0 * dof)
     assert np.mean(nees) < 6.0
+
+
+def test_landmarks_of_ranges_begin_where_all_of_them_meet():
+    log = drive(0, (RADIO,))
+    number = log.truth.landmark_of - 12
+    first = np.where(np.isin(np.arange(len(number)), [number.tolist().index(n) for n in (0, 1)]), number, -1)
+    start = _chordal(replace(log.recorded, map=None), first, number)
+    assert np.abs(start.landmark - log.recorded.map.xy[12:]).max() < 0.6
 
 
 @pytest.mark.parametrize(("name", "method"), [("ekf", "nn"), ("ekf", "jcbb"), slow("ekf", "gnn"), ("isam2", "jcbb")])

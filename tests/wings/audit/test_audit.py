@@ -110,7 +110,7 @@ def other():
     assert "3 parts" in capsys.readouterr().out
     with pytest.raises(UsageError, match="returned int"):
         opened(f"{place}:other", None)
-    with pytest.raises(UsageError, match="no function 'nothing'"):
+    with pytest.raises(UsageError, match=r"no 'nothing' in mine\.py"):
         opened(f"{place}:nothing", None)
 
 

@@ -44,9 +44,16 @@ RIGHT = np.repeat([TRANSLATION**-2, ROTATION**-2], 3)
     (np.sqrt(RIGHT), {"root"}), slow(RIGHT * 9.0, set()),
 ])  # fmt: skip
 def test_the_convention_that_the_residuals_speak_for_is_asked(tmp_path, stated, convention):
-    report = page.opened(str(written(tmp_path, stated)[0]), None, draws=0).report
+    path, out = written(tmp_path, stated)[0], tmp_path / "out.g2o"
+    report = page.opened(str(path), None, draws=0).report
     assert {q.convention for q in report.questions} == convention
     assert report.words().count("?") == len(report.questions)
+    for noise in [{"half-angle": "half-angle", "order": "rotation-first"}[c] for c in convention - {"root"}]:
+        found = page.opened(str(path), None, draws=0, noise=noise)
+        assert not found.report.rejected
+        page.cured(found, out, draws=0)
+        entries = np.array([line.split()[-21:] for line in out.read_text().splitlines()], float)
+        assert entries[:, [0, 6, 11, 15, 18, 20]].mean(0) == pytest.approx(stated, rel=0.5)
 
 
 def test_a_chordal_start_of_exact_relations_is_exact(tmp_path):
@@ -73,9 +80,12 @@ def test_a_noise_that_no_line_states_is_assumed_and_never_believed(tmp_path):
     assert report.words().startswith("No noise is stated of odometry and loop, so that a sigma of 1 is assumed; the ")
     assert "believed where" not in report.words()
     assert not report.rejected
+    assert not report.even
     assert report.facts.asked[2].sigma == pytest.approx(0.02, rel=0.3)
     path.write_text("\n".join(f"{line} 1 0 0 1 0 1" * (line[0] == "E") for line in bare))
-    assert not page.opened(str(path), None, 0).report.facts.assumed
+    unit = page.opened(str(path), None, 0).report
+    assert not unit.facts.assumed
+    assert unit.even == (1.0,)
     path.write_text(
         "".join(f"VERTEX_SE2 {k} {k} 0 0\nEDGE_SE2_XY {k} 9 {4 - k} 0\n" for k in range(4)) + "VERTEX_XY 9 4 0\n"
     )

@@ -405,3 +405,40 @@ def test_factors_that_share_one_test_are_named_together_and_none_of_them_is_blam
     found = solved(graph, values).words()
     assert "One of 30 factors is wrong, and nothing tells which" in found
     assert "contradicts all others most" not in found
+
+
+@pytest.mark.parametrize(("tag", "bend", "sides"), [("RANGE", 0.15, 0), ("RANGE", 0.0, 3), ("BEARING", 0.15, 0)])
+@pytest.mark.parametrize("vertices", ["", "VERTEX_XY 90 0 0\nVERTEX_XY 91 0 0\nVERTEX_XY 92 0 0\n"])
+def test_landmarks_that_ranges_or_bearings_alone_see_are_found(tag, bend, sides, vertices, tmp_path):
+    """Without a place they were refused; from places of no meaning the minimum was another one."""
+    rng, pose, lines, start = np.random.default_rng(2), gtsam.Pose2(), [], gtsam.Values()
+    start.insert(0, pose)
+    for k in range(30):
+        pose, z = pose.compose(gtsam.Pose2(0.4, 0.0, bend)), np.array([0.4, 0.0, bend]) + rng.normal(0, 0.02, 3)
+        start.insert(k + 1, pose)
+        lines.append(f"EDGE_SE2 {k} {k + 1} {z[0]} {z[1]} {z[2]} 2500 0 0 2500 0 2500")
+        for j, place in enumerate(PLACES):
+            measured = (pose.range(place) if tag == "RANGE" else pose.bearing(place).theta()) + rng.normal(0, 0.02)
+            lines.append(f"EDGE_{tag}_SE2_XY {k + 1} {90 + j} {measured} 2500")
+    (tmp_path / "g.g2o").write_text(vertices + "\n".join([*lines, "FIX 0"]))
+    found = page.opened(str(tmp_path / "g.g2o"), None, 0)
+    for j, place in enumerate(PLACES):
+        start.insert(L(90 + j), place)
+    assert found.graph.error(found.values) < found.graph.error(optimized(found.graph, start)) + 1e-3
+    assert (len(found.report.met), len(found.report.either)) == (0 if vertices else 3, sides)
+
+
+PLACES, STEP = np.array([[4.0, 3.0], [-2.0, 5.0], [3.0, -4.0]]), "EDGE_SE2 {} {} 1 0 0.1 4 0 0 4 0 9"
+
+
+@pytest.mark.parametrize("form", [
+    STEP.replace(" ", ","), STEP.lower(), "EDGE {} {} 1 0 0.1 4 0 4 9 0 0", STEP.replace(" ", ": ", 1) + " # one",
+    "Pose2d_Pose2d_Factor {} {} (1, 0, 0.1) {{2,0,0,2,0,3}}", "EDGE_SE2 0.5 A{} A{} 1 0 0.1 0.25 0 0 0.25 0 0.111111",
+])  # fmt: skip
+def test_other_dialects_are_read_and_written(form, tmp_path):
+    (path := tmp_path / "g.txt").write_text("\n".join(form.format(*pair) for pair in [(0, 1), (1, 2), (2, 3), (0, 3)]))
+    found = page.opened(str(path), None, 0)
+    assert found.graph.at(3).noiseModel().sigmas() == pytest.approx([0.5, 0.5, 1 / 3], rel=1e-4)
+    page.cured(found, path, 0)
+    again = page.opened(str(path), None, 0)
+    assert again.graph.error(again.values) == pytest.approx(0.7, rel=0.01)
