@@ -13,19 +13,20 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import scipy
 
 from association.decide import decide, known_decisions
 from association.expectation import Expectation, SingularInnovationError
 from data.blocks import block_diagonal, coordinates, diagonal_blocks
 from data.inputs import Frame, FrameObservations, Inputs, IntArray
 from data.result import DISCARD, NEW
-from data.se2 import Array, between, compose, world_from_body, wrap_angle
+from data.se2 import Array, between, compose, rotation, world_from_body, wrap_angle
 from data.sensors import RangeBearing
 from data.words import environment
 from eval.checks import worlds
 from eval.checks.finding import APPROXIMATE, Finding, check
 from eval.replay.estimators import Able, Estimator, capabilities, make_estimator
-from eval.replay.external.adapter import Adapter, ForeignError, call, load, pose_of
+from eval.replay.external.adapter import Adapter, ForeignError, Samples, call, load
 from eval.replay.external.spec import is_foreign
 from eval.replay.run import DIVERGED
 from eval.replay.settings import INCREMENTAL
@@ -34,14 +35,15 @@ Bug = StrEnum(
     "Bug",
     "PRIOR_IGNORED Q_NONE Q_DOUBLED Q_HALVED Q_ROOT Q_SQUARED Q_DIAGONAL Q_NOT_TURNED Q_TURNED_LATE MOTION_NOT_TURNED "
     "MOTION_NOT_SIDEWAYS MOTION_JACOBIAN_NONE MOTION_JACOBIAN_SIGN CROSS_NOT_PREDICTED R_NONE R_DOUBLED R_HALVED "
-    "R_ROOT R_SQUARED R_DIAGONAL R_OF_THE_FIRST JACOBIAN_STALE JACOBIAN_NO_HEADING JACOBIAN_SIGN_OF_HEADING "
-    "JACOBIAN_NO_LANDMARK INNOVATION_NOT_WRAPPED OBSERVATIONS_UNCORRELATED COVARIANCE_NOT_UPDATED MEAN_NOT_UPDATED "
-    "MEAN_OF_MAP_NOT_UPDATED CROSS_NOT_UPDATED JOSEPH_WITHOUT_NOISE NEW_WITHOUT_CROSS NEW_HALF_CROSS "
-    "NEW_CROSS_TO_POSE_ONLY NEW_WITHOUT_NOISE NEW_WITHOUT_POSE NEW_NOISE_NOT_TURNED NEW_NO_HEADING "
-    "NEW_FROM_PREDICTION NEW_FIXED NEW_FIXED_CORRECTED FIRST_DROPPED LAST_DROPPED EVERY_SECOND_DROPPED ALL_DROPPED "
-    "DISCARDED_USED POSE_IN_BODY_FRAME JOINT_UNCORRELATED JOINT_PERMUTED EXPECTED_WITH_NOISE "
-    "EXPECTED_WITHOUT_LANDMARK EXPECTED_BEFORE_MOTION NIS_IS_DOF NIS_OF_RESIDUALS NIS_WITHOUT_STATE NIS_WITHOUT_NOISE "
-    "NIS_UNCORRELATED PRIOR_ELSEWHERE ONE_DRAW DEPLETED",
+    "R_ROOT R_SQUARED R_DIAGONAL R_OF_THE_FIRST FIRST_ALONE SECOND_ALONE JACOBIAN_STALE JACOBIAN_NO_HEADING "
+    "JACOBIAN_SIGN_OF_HEADING JACOBIAN_SIGN_OF_POSITION JACOBIAN_NO_LANDMARK INNOVATION_NOT_WRAPPED "
+    "OBSERVATIONS_UNCORRELATED COVARIANCE_NOT_UPDATED MEAN_NOT_UPDATED MEAN_OF_MAP_NOT_UPDATED CROSS_NOT_UPDATED "
+    "JOSEPH_WITHOUT_NOISE NEW_WITHOUT_CROSS NEW_HALF_CROSS NEW_CROSS_TO_POSE_ONLY NEW_WITHOUT_NOISE NEW_WITHOUT_POSE "
+    "NEW_NOISE_NOT_TURNED NEW_NO_HEADING NEW_FROM_PREDICTION NEW_FIXED NEW_FIXED_CORRECTED FIRST_DROPPED LAST_DROPPED "
+    "EVERY_SECOND_DROPPED ALL_DROPPED DISCARDED_USED POSE_IN_BODY_FRAME JOINT_UNCORRELATED JOINT_PERMUTED "
+    "EXPECTED_WITH_NOISE EXPECTED_WITHOUT_LANDMARK EXPECTED_BEFORE_MOTION NIS_IS_DOF NIS_OF_RESIDUALS "
+    "NIS_WITHOUT_STATE NIS_WITHOUT_NOISE NIS_UNCORRELATED PRIOR_ELSEWHERE ONE_DRAW LIKELIHOODS_ADDED "
+    "WEIGHTS_FORGOTTEN WEIGHTS_KEPT NOT_RESAMPLED DEPLETED",
 )  # mistakes in a Kalman filter; `templates/checks.j2` has the words
 
 Change = Callable[[Array], Array]
@@ -70,8 +72,10 @@ class Rules:
     fixed: float = math.nan  # m^2, variances of a new landmark that is uncorrelated; NaN: as propagated
     used: Callable[[IntArray], IntArray] = field(default=lambda rows: rows)
     joint: Change = same  # as the association method gets it
+    turned_back: bool = False  # bearings that are not wrapped are expected as atan2(y, x) - heading
+    one_by_one: bool = False  # an update for each pairing, linearized after the one before; no mistake
     joseph: bool = False  # the covariance's update for any gain, instead of the one for the optimal gain
-    mistake: Bug | None = None  # other mistakes, by name
+    mistakes: tuple[Bug, ...] = ()  # all by name, also those that no field above has
 
 
 def blocks_alone(A: Array) -> Array:
@@ -112,24 +116,35 @@ def _of_noise(change: Change) -> Changes:
     return {"R": change, "R_new": change}, {"R": change}
 
 
+UNSEEN = 1e6  # as much noise leaves a component out
 FIXED: Changes = tuple({"fixed": v} for v in (1e-3, 0.01, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 10.0, 25.0, 100.0))
 CHANGES: dict[Bug, Changes] = {
     Bug.NEW_FIXED: FIXED, Bug.NEW_FIXED_CORRECTED: FIXED, Bug.PRIOR_IGNORED: ({"prior": scaled(0.0)},),
     Bug.Q_NONE: ({"Q": scaled(0.0)},), Bug.Q_DOUBLED: ({"Q": scaled(2.0)},), Bug.Q_HALVED: ({"Q": scaled(0.5)},),
-    Bug.Q_ROOT: ({"Q": root},), Bug.Q_SQUARED: ({"Q": np.square},), Bug.Q_DIAGONAL: ({"Q": diagonal},),
+    Bug.Q_ROOT: ({"Q": root}, {"Q": lambda Q: root(diagonal(Q))}), Bug.Q_DIAGONAL: ({"Q": diagonal},),
+    Bug.Q_SQUARED: ({"Q": np.square}, {"Q": lambda Q: diagonal(Q) ** 2}),
     Bug.MOTION_NOT_SIDEWAYS: tuple(
         {"mean": mean, "Q": Q}
-        for mean in (scaled(1.0, 0.0, 1.0), lambda m: np.array([np.hypot(*m[:2]), 0.0, m[2]]))
+        for mean in (
+            scaled(1.0, 0.0, 1.0), lambda m: np.array([np.hypot(*m[:2]), 0.0, m[2]]),
+            lambda m: np.append(np.hypot(*m[:2]) * np.sinc(m[2] / math.tau) * rotation(0.5 * m[2])[:, 0], m[2]),
+        )  # the last is an arc
         for Q in (same, lambda Q: Q * np.outer([1.0, 0.0, 1.0], [1.0, 0.0, 1.0]))
     ),
     Bug.MOTION_JACOBIAN_NONE: ({"F": lambda F: np.eye(3)},),
     Bug.MOTION_JACOBIAN_SIGN: ({"F": lambda F: 2.0 * np.eye(3) - F},), Bug.R_NONE: _of_noise(scaled(0.0)),
     Bug.R_DOUBLED: _of_noise(scaled(2.0)), Bug.R_HALVED: _of_noise(scaled(0.5)),
-    Bug.R_ROOT: (*_of_noise(root), *_of_noise(lambda R: root(diagonal(R)))), Bug.R_SQUARED: _of_noise(np.square),
+    Bug.R_ROOT: (*_of_noise(root), *_of_noise(lambda R: root(diagonal(R)))),
+    Bug.R_SQUARED: (*_of_noise(np.square), *_of_noise(lambda R: diagonal(R) ** 2)),
+    Bug.FIRST_ALONE: ({"R": lambda R: R + UNSEEN * R * [[0.0, 0.0], [0.0, 1.0]]},),
+    Bug.SECOND_ALONE: ({"R": lambda R: R + UNSEEN * R * [[1.0, 0.0], [0.0, 0.0]]},),
     Bug.R_DIAGONAL: ({"R": diagonal, "R_new": diagonal},),
     Bug.R_OF_THE_FIRST: ({"R": lambda R: np.repeat(R[:1], len(R), axis=0)},),
     Bug.JACOBIAN_NO_HEADING: ({"Hx": scaled(1.0, 1.0, 0.0)},),
-    Bug.JACOBIAN_SIGN_OF_HEADING: ({"Hx": scaled(1.0, 1.0, -1.0)},), Bug.JACOBIAN_NO_LANDMARK: ({"Hl": scaled(0.0)},),
+    Bug.JACOBIAN_SIGN_OF_HEADING: ({"Hx": scaled(1.0, 1.0, -1.0)},),
+    Bug.JACOBIAN_SIGN_OF_POSITION: ({"Hx": lambda H: H * [[1.0, 1.0, 1.0], [-1.0, -1.0, 1.0]]},),
+    Bug.JACOBIAN_NO_LANDMARK: ({"Hl": scaled(0.0)},),
+    Bug.INNOVATION_NOT_WRAPPED: ({"turned_back": True}, {}),
     Bug.OBSERVATIONS_UNCORRELATED: ({"S": blocks_alone}, {"S": blocks_alone, "joseph": True}),
     Bug.NEW_WITHOUT_NOISE: ({"R_new": scaled(0.0)},), Bug.NEW_WITHOUT_POSE: ({"Gx": scaled(0.0)},),
     Bug.NEW_NO_HEADING: ({"Gx": scaled(1.0, 1.0, 0.0)},), Bug.NEW_NOISE_NOT_TURNED: ({"Gz": lambda Gz: np.eye(2)},),
@@ -139,9 +154,21 @@ CHANGES: dict[Bug, Changes] = {
 }  # fmt: skip
 
 
+RIGHT = Rules()
+
+
 def rules_of(bug: Bug) -> list[Rules]:
     """Ways in which a filter may have a bug."""
-    return [Rules(mistake=bug, **changes) for changes in CHANGES.get(bug, ({},))]
+    return [Rules(mistakes=(bug,), **changes) for changes in CHANGES.get(bug, ({},))]
+
+
+MISTAKEN = tuple(r for bug in Bug for r in rules_of(bug))
+ALONE = MISTAKEN + tuple(replace(r, one_by_one=True) for r in MISTAKEN)
+OF_WEIGHTS = {Bug.LIKELIHOODS_ADDED, Bug.INNOVATION_NOT_WRAPPED, Bug.WEIGHTS_FORGOTTEN, Bug.WEIGHTS_KEPT}
+WEIGHINGS = [
+    r for r in MISTAKEN
+    if Bug.R_NONE not in r.mistakes and (r.R is not same or r.used is not RIGHT.used or {*r.mistakes} & OF_WEIGHTS)
+]  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +199,18 @@ class State:
     blocks: Array  # (L, 2, 2)
 
 
-NONE = np.empty(0, np.int64)
+NONE, NOWHERE = np.empty(0, np.int64), np.empty((0, 3))
+Frames = list[tuple[Frame, IntArray]]  # with the decisions about their observations
+
+
+def unwrapped(z: Array, z_hat: Array, heading: Array | float) -> Array:
+    """Differences of bearings from those expected, which are atan2(y, x) - heading."""
+    return np.asarray(z - wrap_angle(z_hat + heading) + heading)
+
+
+def _of(mistakes: tuple[Bug, ...], table: dict[Bug, Any], right: Any) -> Any:
+    """What one of the mistakes puts in the place of what is right."""
+    return next((table[b] for b in mistakes if b in table), right)
 
 
 class Kalman:
@@ -188,16 +226,16 @@ class Kalman:
         r, d = self.rules, len(self.x)
         self.before, mean = self.x[:3].copy(), r.mean(mean)
         moved = compose(self.x[:3], mean)
-        if r.mistake is Bug.MOTION_NOT_TURNED:
+        if Bug.MOTION_NOT_TURNED in r.mistakes:
             moved = self.x[:3] + mean
         F, J = np.eye(d), np.eye(3)  # J: of a composed pose to the pose before
         dx, dy = world_from_body(float(self.x[2]))[:2, :2] @ mean[:2]
         J[0, 2], J[1, 2] = -dy, dx
         F[:3, :3] = r.F(J)
         turned = {Bug.Q_NOT_TURNED: 0.0, Bug.Q_TURNED_LATE: float(moved[2])}
-        G = world_from_body(turned.get(r.mistake, float(self.x[2])) if r.mistake else float(self.x[2]))
+        G = world_from_body(_of(r.mistakes, turned, float(self.x[2])))
         P = F @ self.P @ F.T
-        if r.mistake is Bug.CROSS_NOT_PREDICTED:
+        if Bug.CROSS_NOT_PREDICTED in r.mistakes:
             P[:3, 3:], P[3:, :3] = self.P[:3, 3:], self.P[3:, :3]
         P[:3, :3] += G @ r.Q(covariance) @ G.T
         self.x[:3], self.P = moved, P
@@ -208,7 +246,7 @@ class Kalman:
         r, n, d = self.rules, len(number), len(self.x)
         xy = self.x[3:].reshape(-1, 2)[number] if self.map is None else self.map.positions(number)
         z_hat, Hx, Hl = self.sensor.linearize(pose, xy)
-        if r.mistake is Bug.JACOBIAN_STALE:
+        if Bug.JACOBIAN_STALE in r.mistakes:
             Hx, Hl = self.sensor.jacobians(self.before, xy)
         H = np.zeros((n, 2, d))
         H[:, :, :3] = r.Hx(Hx)
@@ -221,11 +259,11 @@ class Kalman:
         """Of every landmark."""
         r = self.rules
         number = np.arange((len(self.x) - 3) // 2) if self.map is None else self.map.id
-        z_hat, H = self._linearized(number, self.before if r.mistake is Bug.EXPECTED_BEFORE_MOTION else self.x[:3])
-        if r.mistake is Bug.EXPECTED_WITHOUT_LANDMARK:
+        z_hat, H = self._linearized(number, self.before if Bug.EXPECTED_BEFORE_MOTION in r.mistakes else self.x[:3])
+        if Bug.EXPECTED_WITHOUT_LANDMARK in r.mistakes:
             H[:, 3:] = 0.0
         joint = r.joint(H @ self.P @ H.T)
-        if r.mistake is Bug.EXPECTED_WITH_NOISE:
+        if Bug.EXPECTED_WITH_NOISE in r.mistakes:
             joint = joint + np.kron(np.eye(len(number)), observations.R[0])
         innovations = np.asarray(self.sensor.residual(observations.z[:, None], z_hat[None]))
         return Expected(number, z_hat, joint, diagonal_blocks(joint), innovations, observations.R)
@@ -236,13 +274,15 @@ class Kalman:
         rows = np.flatnonzero(decisions >= 0)
         chosen, nis = r.used(rows), 0.0
         numbers = decisions[chosen]
-        if r.mistake is Bug.DISCARDED_USED:
+        if Bug.DISCARDED_USED in r.mistakes:
             held = NONE if self.map is None else self.map.id
             extra = np.flatnonzero(decisions < NEW) if len(self.x) > 3 or len(held) else NONE
             chosen = np.concatenate([chosen, extra])
             numbers = np.concatenate([numbers, np.full(len(extra), held[0] if len(held) else 0, np.int64)])
-        if len(chosen):
-            nis = self._correct(observations.z[chosen], observations.R[chosen], numbers)
+        step = 1 if r.one_by_one else max(len(chosen), 1)
+        for i in range(0, len(chosen), step):
+            some = chosen[i : i + step]
+            nis += self._correct(observations.z[some], observations.R[some], numbers[i : i + step])
         if self.map is None:
             for i in np.flatnonzero(decisions == NEW).tolist():
                 self._found(observations.z[i], observations.R[i], predicted)
@@ -252,58 +292,60 @@ class Kalman:
         r, k = self.rules, len(number)
         z_hat, H = self._linearized(number, self.x[:3])
         nu = np.asarray(self.sensor.residual(z, z_hat))
-        if r.mistake is Bug.INNOVATION_NOT_WRAPPED:
+        if Bug.INNOVATION_NOT_WRAPPED in r.mistakes:
             nu = z - z_hat
+            if r.turned_back and isinstance(self.sensor, RangeBearing):
+                nu[:, 1] = unwrapped(z[:, 1], z_hat[:, 1], self.x[2])
         HPH, noise, stated = H @ self.P @ H.T, block_diagonal(r.R(R)), block_diagonal(R)
         S = r.S(HPH + noise)
         K = (np.linalg.pinv(S) @ H @ self.P).T
         shift = K @ nu.ravel()
-        if r.mistake is Bug.MEAN_NOT_UPDATED:
+        if Bug.MEAN_NOT_UPDATED in r.mistakes:
             shift = 0.0 * shift
-        if r.mistake is Bug.MEAN_OF_MAP_NOT_UPDATED:
+        if Bug.MEAN_OF_MAP_NOT_UPDATED in r.mistakes:
             shift[3:] = 0.0
         self.x = self.x + shift
         self.x[2] = wrap_angle(float(self.x[2]))
         P, W = self.P, K @ H
         A = np.eye(len(P)) - W
-        if r.mistake is Bug.JOSEPH_WITHOUT_NOISE:
+        if Bug.JOSEPH_WITHOUT_NOISE in r.mistakes:
             P = A @ P @ A.T
         elif r.joseph:
             P = A @ P @ A.T + K @ noise @ K.T
-        elif r.mistake is not Bug.COVARIANCE_NOT_UPDATED:
+        elif Bug.COVARIANCE_NOT_UPDATED not in r.mistakes:
             P = A @ P
-        if r.mistake is Bug.CROSS_NOT_UPDATED:
+        if Bug.CROSS_NOT_UPDATED in r.mistakes:
             P[:3, 3:], P[3:, :3] = self.P[:3, 3:], self.P[3:, :3]
         self.P = 0.5 * (P + P.T)
         weights = {Bug.NIS_WITHOUT_STATE: stated, Bug.NIS_WITHOUT_NOISE: HPH, Bug.NIS_UNCORRELATED: blocks_alone(S)}
-        if r.mistake is Bug.NIS_IS_DOF:
+        if Bug.NIS_IS_DOF in r.mistakes:
             return 2.0 * k
-        if r.mistake is Bug.NIS_OF_RESIDUALS:
+        if Bug.NIS_OF_RESIDUALS in r.mistakes:
             nu = np.asarray(self.sensor.residual(z, self._linearized(number, self.x[:3])[0]))
-        return float(nu.ravel() @ np.linalg.pinv(weights.get(r.mistake, S) if r.mistake else S) @ nu.ravel())
+        return float(nu.ravel() @ np.linalg.pinv(_of(r.mistakes, weights, S)) @ nu.ravel())
 
     def _found(self, z: Array, R: Array, predicted: Array) -> None:
         r, d = self.rules, len(self.x)
-        start = predicted if r.mistake is Bug.NEW_FROM_PREDICTION else self.x[:3]
+        start = predicted if Bug.NEW_FROM_PREDICTION in r.mistakes else self.x[:3]
         xy, Gx, Gz = (a[0] for a in self.sensor.inverse(start, z[None]))
         J, Gz = np.zeros((2, d)), r.Gz(Gz)
         J[:, :3] = r.Gx(Gx)
         cross = J @ self.P
         own = cross @ J.T + Gz @ r.R_new(R) @ Gz.T
         parts = {Bug.NEW_WITHOUT_CROSS: 0.0, Bug.NEW_HALF_CROSS: 0.5}
-        cross = cross * (parts.get(r.mistake, 1.0) if r.mistake else 1.0)
-        if r.mistake is Bug.NEW_CROSS_TO_POSE_ONLY:
+        cross = cross * _of(r.mistakes, parts, 1.0)
+        if Bug.NEW_CROSS_TO_POSE_ONLY in r.mistakes:
             cross[:, 3:] = 0.0
         if not math.isnan(r.fixed):
             cross, own = 0.0 * cross, r.fixed * np.eye(2)
         self.x, self.P = np.concatenate([self.x, xy]), np.block([[self.P, cross.T], [cross, own]])
-        if r.mistake is Bug.NEW_FIXED_CORRECTED:
+        if Bug.NEW_FIXED_CORRECTED in r.mistakes:
             self._correct(z[None], R[None], np.array([(d - 3) // 2]))
 
     def state(self, expected: Expected | None, decided: IntArray, used: IntArray = NONE, nis: float = np.nan) -> State:
         """What it says at the end of a frame."""
         P = self.P[:3, :3].copy()
-        if self.rules.mistake is Bug.POSE_IN_BODY_FRAME:
+        if Bug.POSE_IN_BODY_FRAME in self.rules.mistakes:
             B = world_from_body(float(self.x[2]))
             P = B.T @ P @ B
         n = 0 if self.map is not None else (len(self.x) - 3) // 2
@@ -312,7 +354,7 @@ class Kalman:
         return State(expected, decided, used, nis, self.x[:3].copy(), P, np.arange(n), xy, blocks)
 
 
-def states_of(frames: list[tuple[Frame, IntArray]], inputs: Inputs, rules: Rules) -> list[State]:
+def states_of(frames: Frames, inputs: Inputs, rules: Rules) -> list[State]:
     """What the filter with these rules says about frames, each with the decisions about its observations."""
     found, f = [], Kalman(inputs, rules)
     for frame, decisions in frames:
@@ -330,18 +372,24 @@ EXACTLY, NEARLY = 1e-6, 0.05  # largest differences, in standard deviations of t
 SAMPLING = 5.0
 """Standard errors that a mean or sigma of samples may be off: over the frames and numbers compared, chance gives 4. At
 most `APPROXIMATE` is allowed."""
+SURE, MOST, LEAST = 10.0, 0.15, 0.7
+"""Log-likelihood by which a mistake explains weights better; the divergence that it leaves, as a share and by frame."""
+UNDERFLOW = -700.0  # a log-likelihood of all samples below which their weights are zeros, and then mostly made equal
 DEPLETED = 8.0  # Least effective number of samples, of which any mean and covariance is chance
-ALIKE = 0.1  # a mistake is named if its filter is this much closer to the estimator than the exact one
+ALIKE, TOGETHER = 0.1, 0.01
+"""A mistake is named if its filter is this much closer to the estimator than the exact one; several, or one by some
+frames alone, if it is closer still: of the pairs with the `NEAREST`, `TRIED` whose consequences almost add up."""
+NEAREST, TRIED = 16, 48
 KNOWN = 1e-4  # rad; a heading with a smaller standard deviation is known
 GATE, NEW_GATE = 0.99, 0.99999
 
 
 Quantity = StrEnum(
     "Quantity",
-    "CANDIDATES EXPECTED INNOVATIONS NOISE MARGINALS JOINT DECISIONS USED NIS POSE COVARIANCE LANDMARKS "
+    "CANDIDATES EXPECTED INNOVATIONS NOISE MARGINALS JOINT DECISIONS USED NIS SAMPLES POSE COVARIANCE LANDMARKS "
     "LANDMARK_COVARIANCE",
 )  # what is compared, in the order of a frame; `templates/checks.j2` has the words
-COUNTED = (Quantity.CANDIDATES, Quantity.DECISIONS, Quantity.USED)
+COUNTED = (Quantity.CANDIDATES, Quantity.DECISIONS, Quantity.USED, Quantity.SAMPLES)
 """Numbers of candidates or observations; all others are in standard deviations."""
 
 
@@ -367,21 +415,23 @@ class Deviation:
     first: bool  # whether no other quantity is beyond it earlier
     largest: float  # difference [sigma], or number of candidates or observations
     allowed: float  # of the largest
-    bug: Bug | None  # mistake with the same consequences, if one is known
+    bugs: tuple[Bug, ...]  # mistakes with the same consequences; empty: none known
     exact: bool  # whether the estimator claims to be exact
     new_alone: bool = False  # whether all that is observed in that frame initializes landmarks
     linear_alone: bool = False  # whether the other world agrees so far, so that a sensor of its own may be the cause
     left_out: bool = False  # whether all that it uses are given pairings, and without the others its numbers are off
+    sigmas: tuple[float, float] = (1.0, 1.0)  # of x and y, the least and largest of all frames, over the right ones
+    samples: str = ""  # what `of_samples` finds
 
 
 @dataclass(frozen=True)
 class Stopped:
-    """An estimator stopped in a frame, for a reason in words; `bug` as of `Deviation`."""
+    """An estimator stopped in a frame, for a reason in words; `bugs` as of `Deviation`."""
 
     world: str
     frame: int
     why: str
-    bug: Bug | None
+    bugs: tuple[Bug, ...]
 
 
 Fact = Agreement | Deviation | Stopped
@@ -411,13 +461,13 @@ def exactness(text: str, task: str) -> Iterator[Finding]:
 def sentences(facts: Sequence[Fact]) -> str:
     """A sentence for each mistake: the fact that shows it first, and which others follow from it."""
     wrong = [f for f in facts if not isinstance(f, Agreement)]
-    named = {f.bug for f in wrong if f.bug is not None}
+    named = {f.bugs for f in wrong if f.bugs}
     if len(named) == 1:  # it explains the rest, too, unless that began before
-        since = min(f.frame for f in wrong if f.bug is not None)
-        wrong = [replace(f, bug=min(named)) if f.frame >= since else f for f in wrong]
+        since = min(f.frame for f in wrong if f.bugs)
+        wrong = [replace(f, bugs=min(named)) if f.frame >= since else f for f in wrong]
     said = []
-    for bug in dict.fromkeys(f.bug for f in wrong):
-        first, *others = (f for f in wrong if f.bug is bug)
+    for bugs in dict.fromkeys(f.bugs for f in wrong):
+        first, *others = (f for f in wrong if f.bugs == bugs)
         said.append(sentence(first, tuple(f.quantity for f in others if isinstance(f, Deviation))))
     return ". ".join(said) or sentence(facts[0])
 
@@ -427,11 +477,14 @@ def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:
     frames, right = exact_states(world, task)
     given, samples, stop = recorded(text, inputs_of(world, task), frames, exact=exact)
     allowed = EXACTLY if exact and world == worlds.LINEAR else NEARLY
-    if samples < math.inf:
+    if drawn := samples < math.inf:
         allowed = min(NEARLY + SAMPLING / math.sqrt(samples), APPROXIMATE)
     each = [differences(g, r) for g, r in zip(given, right[: len(given)], strict=True)]
     begin: dict[Quantity, int] = {}
     largest = dict.fromkeys(Quantity, 0.0)
+    told, bugs, again = of_samples(text, inputs_of(world, task), frames[: len(given)]) if drawn else ("", (), False)
+    if bugs:
+        begin[Quantity.SAMPLES] = 0
     for k, found in enumerate(each):
         for quantity, size in found.items():
             largest[quantity] = max(largest[quantity], size)
@@ -441,55 +494,131 @@ def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:
         measured = tuple(q for q in Quantity if any(q in found for found in each))
         most = max(size for q, size in largest.items() if q not in COUNTED)
         return [Agreement(world, len(each), measured, most, allowed)]
-    mine = numbers(given, right[: len(given)])
     order = sorted(begin, key=lambda q: (begin[q], list(Quantity).index(q)))
     first = begin.get(Quantity.LANDMARKS, 0)
     # landmarks that are elsewhere as soon as there are any were initialized elsewhere, which no update explains
     elsewhere = order[:1] == [Quantity.LANDMARKS] and not any(len(s.number) for s in right[:first])
-    bug = None if elsewhere else likely(world, task, mine) or first_step(text, inputs_of(world, task), allowed)
-    bug = Bug.DEPLETED if samples < DEPLETED and bug is not Bug.ONE_DRAW else bug
+    if not bugs and samples < DEPLETED and told != "weights":
+        bugs = (Bug.DEPLETED if again else Bug.NOT_RESAMPLED,)
+    since = begin[order[0]] + 1 if order else 0
+    parts_of = ((len(given), None), (since + 3, None), (since, None), (since, Quantity.POSE))
+    for until, only in (
+        () if elsewhere else parts_of[: 4 if len(begin) > 1 else 1]
+    ):  # what is later may have other causes
+        early = numbers(given[:until], right[: len(given[:until])])
+        bugs = bugs or likely(world, task, early, only, most=1 if drawn or only else 3)
+    bugs = bugs or (() if elsewhere else first_step(text, inputs_of(world, task), allowed))
     left_out = len(begin) > 1 and all(np.isin(g.used, r.used).all() for g, r in zip(given, right, strict=False))
     facts: list[Fact] = []
     for q in order:
         chosen, limit = frames[begin[q]][1], 0.0 if q in COUNTED else allowed
-        own = bug if bug or elsewhere else likely(world, task, mine, q)
+        own = bugs if bugs or elsewhere else likely(world, task, numbers(given, right[: len(given)]), q)
         new = NEW in chosen and not (chosen >= 0).any()
         off = Deviation(world, q, begin[q], len(chosen) > 0, q is order[0], largest[q], limit, own, exact, new)
-        facts.append(replace(off, left_out=left_out and q is Quantity.USED))
-    return facts if stop is None else [*facts, Stopped(world, len(given), str(stop), bug)]
+        if q is Quantity.COVARIANCE:
+            P, C = (np.array([np.diag(s.covariance)[:2] for s in states]) for states in (given, right[: len(given)]))
+            off = replace(off, sigmas=(float(np.nanmin(P / C)) ** 0.5, float(np.nanmax(P / C)) ** 0.5))
+        facts.append(replace(off, left_out=left_out and q is Quantity.USED, samples=told))
+    return facts if stop is None else [*facts, Stopped(world, len(given), str(stop), bugs)]
 
 
-def first_step(text: str, inputs: Inputs, allowed: float) -> Bug | None:
-    """The mistake that a foreign estimator shows before any observation: a pose or covariance other than the prior's by
-    more than what is `allowed` or `NEARLY` [sigma], or samples that all move alike.
-    """
-    estimator, prior, step = make_estimator(text, inputs), inputs.prior, inputs.frame(1).increment
-    if not isinstance(estimator, Adapter) or step is None:
-        return None
+def first_step(text: str, inputs: Inputs, allowed: float) -> tuple[Bug, ...]:
+    """Whether an estimator begins with another pose or covariance than the prior's, by more than what is `allowed`."""
+    right = Kalman(inputs, RIGHT).state(None, NONE)
     try:
-        begun = call(text, estimator.inner.estimate)
-        pose, covariance = pose_of(text, begun)
-        samples = np.array(getattr(begun, "poses", pose))
-        estimator.predict(step)
-        moved = np.array(getattr(call(text, estimator.inner.estimate), "poses", pose))
+        pose, P = make_estimator(text, inputs).estimate()
     except (ForeignError, *DIVERGED):
-        return None
-    sigma, shift = np.sqrt(np.diag(prior.covariance)), pose - prior.mean
-    shift[2] = wrap_angle(float(shift[2]))
-    off = np.abs([*shift / sigma, *0.5 * ((covariance - prior.covariance) / _outer(sigma)).ravel()])
-    if np.nanmax(off) > max(allowed, NEARLY):
-        return Bug.PRIOR_ELSEWHERE
-    each = between(samples, moved) if samples.ndim == 2 and samples.shape == moved.shape else None
-    return Bug.ONE_DRAW if each is not None and np.ptp(each, axis=0).max() < EXACTLY else None
+        return ()
+    off = differences(replace(right, pose=pose, covariance=P), right)
+    return (Bug.PRIOR_ELSEWHERE,) if max(off.values()) > max(allowed, NEARLY) else ()
+
+
+def of_samples(text: str, inputs: Inputs, frames: Frames) -> tuple[str, tuple[Bug, ...], bool]:
+    """Compare draws of the motion with Q, and weights, or how often samples are drawn again, with likelihoods: what is
+    wrong, "draws" or "weights", or "moved" by an update, else "right", empty if nothing is compared; mistakes with a
+    name; whether samples are ever drawn again.
+    """
+    made, what, again, weighed = make_estimator(text, inputs), "", False, list[Weighed]()
+    assert isinstance(made, Adapter)
+    bugs: tuple[Bug, ...] = ()
+
+    def cloud() -> tuple[Array, Array]:
+        given = call(text, made.inner.estimate)
+        return (
+            (np.array(given.poses, float), given.normalized) if isinstance(given, Samples) else (NOWHERE, NOWHERE[:, 0])
+        )
+
+    now, w = cloud()
+    for frame, decisions in frames:
+        if frame.increment is not None:
+            made.predict(frame.increment)
+            before, (now, w) = now, cloud()
+            if before.shape == now.shape and len(now) and not what:
+                what, bugs = _drawn(between(before, now), frame.increment.covariance)
+        if len(decisions):
+            made.update(frame.observations, decisions)
+            before, prior, (now, w) = now, w, cloud()
+            _, at = np.unique(np.concatenate([before, now]), axis=0, return_inverse=True)
+            old, new = np.split(at.ravel(), [len(before)])
+            again |= (repeated := len(np.unique(new)) < len(new))
+            rows = np.flatnonzero(decisions >= 0)
+            if not np.isin(new, old).all():
+                what = what or "moved"
+            elif inputs.map is not None and len(rows) and len(new):
+                z, xy = frame.observations.z[rows, None], inputs.map.positions(decisions[rows])
+                z_hat = np.array([inputs.sensor.predict(before, np.tile(p, (len(old), 1))) for p in xy])
+                nu = inputs.sensor.residual(z, z_hat)
+                raw = np.stack([nu[..., 0], unwrapped(z[..., 1], z_hat[..., 1], before[:, 2])], axis=-1)
+                given, kept = np.bincount(new, w, old.max() + 1).astype(float), repeated and float(np.ptp(w)) > 0.0
+                weighed.append(((nu, raw), frame.observations.R[rows], old, prior, given, kept))
+    if bugs or what == "moved" or not weighed:
+        return what, bugs, again
+    rules, off = RIGHT, (most := _divergence(RIGHT, weighed))
+    for _ in range(3):
+        others = [r for r in (both(rules, w) for w in WEIGHINGS) if r is not None]
+        each = [_divergence(r, weighed) for r in others]
+        if len(now) * (off - min(each)) < SURE:
+            break
+        rules, off = others[int(np.argmin(each))], min(each)
+    close = off < min(MOST * most, LEAST * len(weighed))
+    return ("weights", rules.mistakes if close else (), again) if rules.mistakes else (what or "right", (), again)
+
+
+def _drawn(each: Array, Q: Array) -> tuple[str, tuple[Bug, ...]]:
+    """Whether motions (n, 3) of samples have the covariance Q within its standard errors, or the mistake that has."""
+    if (each.var(axis=0) < EXACTLY * np.diag(Q)).all():
+        return "draws", (Bug.ONE_DRAW,)
+    for rules in (RIGHT, *(r for r in MISTAKEN if r.Q is not same)):
+        sigma = np.sqrt(np.diag(C := rules.Q(Q)))
+        if sigma.all() and _size((np.cov(each.T) - C) / _outer(sigma)) < SAMPLING * math.sqrt(2.0 / len(each)):
+            return "draws" * bool(rules.mistakes), rules.mistakes
+    return "draws", ()
+
+
+Weighed = tuple[tuple[Array, Array], Array, IntArray, Array, Array, bool]
+"""Of a frame: innovations (m, n, 2), wrapped or not; R; numbers of different samples (n,) and their weights before, and
+weights (s,) by number afterwards; whether they differ after samples were drawn again."""
+
+
+def _divergence(r: Rules, weighed: Sequence[Weighed]) -> float:
+    """Divergence of weights from those by some rules, or of how often samples are drawn again."""
+    total = 0.0
+    for nu, R, old, before, given, kept in weighed:
+        rows, own = r.used(np.arange(len(R))), nu[Bug.INNOVATION_NOT_WRAPPED in r.mistakes]
+        each = -0.5 * np.einsum("mni,mij,mnj->mn", own[rows], np.linalg.pinv(r.R(R)[rows]), own[rows])
+        log = np.logaddexp.reduce(each, initial=-1e9) if Bug.LIKELIHOODS_ADDED in r.mistakes else each.sum(axis=0)
+        known = 0.0 if Bug.WEIGHTS_FORGOTTEN in r.mistakes else np.log(np.maximum(before, 1e-300))
+        power = 2.0 if kept and Bug.WEIGHTS_KEPT in r.mistakes else 1.0
+        ways = (log, np.zeros_like(log)) if log.max() < UNDERFLOW else (log,)
+        right = (np.bincount(old, scipy.special.softmax(power * (way + known))) for way in ways)
+        total += min(float(scipy.special.rel_entr(given, np.maximum(p, 1e-300)).sum()) for p in right)
+    return total
 
 
 def inputs_of(world: str, task: str) -> Inputs:
     """Labelled inputs of a world for a task."""
     inputs = worlds.small(world)
     return inputs if task == "localization" else inputs.without_map()
-
-
-Frames = list[tuple[Frame, IntArray]]
 
 
 @lru_cache(maxsize=4)
@@ -507,13 +636,23 @@ def exact_states(world: str, task: str) -> tuple[Frames, list[State]]:
     return frames, states
 
 
-@lru_cache(maxsize=4)
-def mistaken(world: str, task: str) -> tuple[tuple[Bug, ...], Array]:
-    """The filter with each mistake (b,) that makes a difference, in `numbers` (b, n)."""
+@lru_cache(maxsize=8)
+def filters(world: str, task: str, rules: tuple[Rules, ...]) -> tuple[list[Rules], Array]:
+    """The rules (b,) among these that make a difference, and the filter with each in `numbers` (b, n)."""
     (frames, right), inputs, (weights, _) = exact_states(world, task), inputs_of(world, task), _layout(world, task)
-    found = [(b, numbers(states_of(frames, inputs, r), right)) for b in Bug for r in rules_of(b)]
-    found = [(b, n) for b, n in found if _distance(n, weights) > 0.0]
-    return tuple(b for b, _ in found), np.array([n for _, n in found])
+    found = [(r, numbers(states_of(frames, inputs, r), right)) for r in rules]
+    found = [(r, n) for r, n in found if _distance(n, weights) > 0.0]
+    return [r for r, _ in found], np.array([n for _, n in found])
+
+
+def both(first: Rules, then: Rules) -> Rules | None:
+    """A filter with the mistakes of two, one after the other; None if they exclude each other."""
+    own, more = ({n: v for n, v in vars(r).items() if v is not getattr(RIGHT, n)} for r in (first, then))
+    shared = own.keys() & more.keys() - {"mistakes", "one_by_one"}
+    if set(first.mistakes) & set(then.mistakes) or not all(callable(own[n]) for n in shared):
+        return None
+    joined = {n: lambda A, f=own[n], g=more[n]: g(f(A)) for n in shared}
+    return replace(first, **more | joined | {"mistakes": first.mistakes + then.mistakes})
 
 
 @lru_cache(maxsize=4)
@@ -524,17 +663,26 @@ def _layout(world: str, task: str) -> tuple[Array, Array]:
     return np.concatenate([np.full(n, 1.0 / n) for _, n in each]), np.repeat([q for q, _ in each], [n for _, n in each])
 
 
-def likely(world: str, task: str, mine: Array, only: Quantity | None = None) -> Bug | None:
-    """The mistake by which the filter gives the `numbers` of an estimator (n,), all or those of a quantity; or None."""
-    bugs, each = mistaken(world, task)
-    n = len(mine)
+def likely(world: str, task: str, mine: Array, only: Quantity | None = None, most: int = 1) -> tuple[Bug, ...]:
+    """The mistakes, at `most` so many, by which the filter gives the `numbers` of an estimator (n,), or those of a
+    quantity; empty: none such.
+    """
+    n, (rules, each), (single, changes) = len(mine), *(filters(world, task, r) for r in (ALONE, MISTAKEN))
     weights, quantities = (a[:n] for a in _layout(world, task))
     if only is not None:
         weights = np.where(quantities == only, weights, 0.0)
-    used = weights > 0.0
-    apart = _distance((mine - each[:, :n])[:, used], weights[used])
-    i = int(np.argmin(apart))
-    return bugs[i] if apart[i] < ALIKE * _distance(mine[used], weights[used]) else None
+    size, nearest = _distance(mine, weights), np.empty(0, np.int64)
+    for count in range(most):
+        if count:  # consequences nearly add up
+            rest = np.array([_distance(mine - e[:n] - changes[:, :n], weights) for e in each[nearest]])
+            tried = zip(*np.unravel_index(np.argsort(rest, axis=None, kind="stable")[:TRIED], rest.shape), strict=True)
+            found = (both(rules[nearest[i]], single[j]) for i, j in tried)
+            rules, each = filters(world, task, tuple(r for r in found if r is not None))
+        apart = _distance(mine - each[:, :n], weights) if len(rules) else np.array([math.inf])
+        nearest = np.argsort(apart, kind="stable")[:NEAREST]
+        if apart[nearest[0]] < (TOGETHER if count or n < each.shape[-1] else ALIKE) * size:
+            return tuple(rules[nearest[0]].mistakes)
+    return ()
 
 
 def _distance(off: Array, weights: Array) -> Array:

@@ -68,7 +68,7 @@ def _shown(state: exact.State, quantity: exact.Quantity) -> list[Any]:
 def _bugs(text: str, task: str) -> tuple[str, ...]:
     """Mistakes that `slamref check` names in its two small worlds."""
     facts = [f for world in (worlds.LINEAR, worlds.MILD) for f in exact.compared(text, task, world, exact=True)]
-    return tuple(dict.fromkeys(bug for f in facts if (bug := getattr(f, "bug", None)) is not None))
+    return tuple(dict.fromkeys(bug for f in facts for bug in getattr(f, "bugs", ())))
 
 
 LOCALIZING = {"prediction": POSE, "expectation": tuple(EXPECTED), "correction": POSE, "run": POSE}

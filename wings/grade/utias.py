@@ -15,7 +15,7 @@ from data.formats import mrclam
 from data.inputs import FrameObservations, Inputs, LandmarkMap, Prior
 from data.motion.velocity import ARC, MODELS, step
 from data.result import NEW
-from data.se2 import Array, wrap_angle
+from data.se2 import Array
 from data.sensors import RangeBearing
 from eval.checks.exactness import Bug, Kalman, Rules, rules_of
 from eval.replay.settings import Beginning
@@ -23,7 +23,7 @@ from wings.grade.parts import Answer, Mistakes, Question, Seeds, asked
 
 SENSOR = RangeBearing()
 SIGMA = np.array([0.03, 0.06])  # m and rad per sqrt(s), of the odometry
-RIGHT, UNWRAPPED = Rules(), Bug.INNOVATION_NOT_WRAPPED
+RIGHT = Rules()
 P0 = np.diag([0.05, 0.05, 0.05]) ** 2
 LESS_SURE = np.diag([1.5, 1.5, 0.4]) ** 2  # in questions of which landmark it is
 SAMPLES = 400  # of the odometry, in a stretch of a recording
@@ -148,14 +148,6 @@ def _mistakes(name: str) -> Mistakes:
         yield bug, lambda *given, rules=rules: answer(*given, rules)
     for model, number in MODELS.items() if name == "move" else ():
         yield model, lambda *given, number=number: answer(*given, RIGHT, number)
-    if name == "correct":
-        yield UNWRAPPED, _unwrapped
-
-
-def _unwrapped(pose: Array, P: Array, landmark: Array, z: Array, R: Array) -> Answer:
-    """As `corrected`, with the expected bearing as atan2 - heading."""
-    bearing = math.atan2(landmark[1] - pose[1], landmark[0] - pose[0]) - pose[2]
-    return corrected(pose, P, landmark, z - [0.0, bearing - wrap_angle(bearing)], R, rules_of(UNWRAPPED)[0])
 
 
 PARTS = tuple(asked(name, lambda seeds, name: recorded(seeds)[name], _mistakes) for name in REFERENCES)

@@ -262,12 +262,17 @@ class Samples(NamedTuple):
     weights: Array | None = None  # (n,), not normalized; None: equal
 
     @property
-    def effective(self) -> float:
-        """Effective number of different samples, (sum w)^2 / sum w^2 over different poses."""
+    def normalized(self) -> Array:
+        """Weights (n,) whose sum is 1."""
         w = np.ones(len(self.poses)) if self.weights is None else np.asarray(self.weights, float)
+        return np.asarray(w / w.sum())
+
+    @property
+    def effective(self) -> float:
+        """Effective number of different samples, 1 / sum w^2 over different poses."""
         _, which = np.unique(np.asarray(self.poses, float), axis=0, return_inverse=True)
-        each = np.bincount(which.ravel(), w)
-        return float(each.sum() ** 2 / (each @ each))
+        each = np.bincount(which.ravel(), self.normalized)
+        return float(1.0 / (each @ each))
 
     def estimate(self) -> PoseEstimate:
         """Weighted mean (circular for the heading) and unbiased weighted covariance, sum w d d' / (1 - sum w^2). Raises

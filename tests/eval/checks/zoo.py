@@ -1,6 +1,7 @@
 """Wrong estimators, each a right one with one mistake, and what the check should suspect; and sound approximations."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -127,8 +128,43 @@ class OneDraw(Plain):
 
     def estimate(self):
         if self.samples is None:
-            self.samples = np.random.default_rng(0).multivariate_normal(self.x, self.P, 2000)
+            self.samples = np.random.default_rng(0).multivariate_normal(self.x[:3], self.P[:3, :3], 2000)
         return Samples(self.samples)
+
+
+PAGE = (Path(__file__).parents[3] / "docs" / "extending.md").read_text(encoding="utf-8")
+WEIGHED = 'log_weights -= 0.5 * np.einsum("ni,ij,nj->n", nu, np.linalg.inv(observations.R[i]), nu)'
+
+
+def swarm(changes):
+    """The particle filter of the page with changes."""
+    code, found = PAGE.split("# particles.py\n")[1].split("```")[0], {}
+    for old, new in changes.items():
+        assert old in code
+        code = code.replace(old, new)
+    exec(code, found)
+    return found["Particles"]
+
+
+SWARMS = {
+    "right": ({}, ()),
+    "range-no-1/2": (
+        {WEIGHED: "log_weights -= nu[:, 0] ** 2 / observations.R[i][0, 0]"},
+        (Bug.FIRST_ALONE, Bug.R_HALVED),
+    ),
+    "variance": ({"(observations.R[i])": "(np.diag(np.diag(observations.R[i]) ** 2))"}, (Bug.R_SQUARED,)),
+    "sum": (
+        {
+            "np.log(self.weights)": "-np.inf",
+            WEIGHED: WEIGHED.replace("-= 0.5", "= np.logaddexp(log_weights, -0.5") + ")",
+        },
+        (Bug.LIKELIHOODS_ADDED, Bug.WEIGHTS_FORGOTTEN),
+    ),
+    "never-resampled": ({"< 0.5 *": "< 0.0 *"}, (Bug.NOT_RESAMPLED,)),
+    "weights-kept": ({"np.full(len(rows), 1.0 / len(rows))": "self.weights[rows]"}, (Bug.WEIGHTS_KEPT,)),
+    "variance-of-motion": ({"increment.covariance": "np.diag(np.diag(increment.covariance) ** 2)"}, (Bug.Q_SQUARED,)),
+}
+"""What makes the page's particle filter wrong, and the mistakes that are named."""
 
 
 def few(s):
@@ -137,7 +173,10 @@ def few(s):
 
 
 MUTANTS = {
-    "no-R": (mutant(S=lambda s, HPH, R: HPH, gain=lambda s, H, S: s.P @ H.T @ np.linalg.pinv(S), nis=pinned), None),
+    "no-R": (
+        mutant(S=lambda s, HPH, R: HPH, gain=lambda s, H, S: s.P @ H.T @ np.linalg.pinv(S), nis=pinned),
+        Bug.R_NONE,
+    ),
     "R-doubled": (mutant(R=lambda s, R: 2 * R, R_new=lambda s, R: 2 * R), Bug.R_DOUBLED),
     "R-doubled-in-the-update": (mutant(R=lambda s, R: 2 * R), Bug.R_DOUBLED),
     "R-halved": (mutant(R=lambda s, R: R / 2, R_new=lambda s, R: R / 2), Bug.R_HALVED),
@@ -165,12 +204,17 @@ MUTANTS = {
     "cross-covariance-not-predicted": (mutant(carried=lambda s, F, cross: cross), Bug.CROSS_NOT_PREDICTED),
     "stale-Jacobians": (mutant(at=lambda s: s.last), Bug.JACOBIAN_STALE),
     "Jacobian-without-heading": (mutant(Hx=lambda s, H: H * [1, 1, 0]), Bug.JACOBIAN_NO_HEADING),
+    "Jacobian-sign-of-position": (mutant(Hx=lambda s, H: H * [[1, 1, 1], [-1, -1, 1]]), Bug.JACOBIAN_SIGN_OF_POSITION),
     "Jacobian-sign": (mutant(Hx=lambda s, H: H * [1, 1, -1]), Bug.JACOBIAN_SIGN_OF_HEADING),
     "Jacobian-without-landmark": (mutant(Hl=lambda s, H: 0 * H), Bug.JACOBIAN_NO_LANDMARK),
     "no-wrap": (mutant(innovation=lambda s, z, z_hat: z - z_hat), Bug.INNOVATION_NOT_WRAPPED),
     "wrap-to-0-2pi": (
         mutant(innovation=lambda s, z, h: s.sensor.residual(z, h) % [1e9, 2 * np.pi] if s.sensor.kind == 0 else z - h),
         None,
+    ),
+    "stale-Jacobians-and-simplified-Joseph": (
+        mutant(at=lambda s: s.last, shrunk=simplified_joseph),
+        {Bug.JACOBIAN_STALE, Bug.JOSEPH_WITHOUT_NOISE},
     ),
     "S-in-blocks": (mutant(S=lambda s, HPH, R: blocks(HPH) + R), Bug.OBSERVATIONS_UNCORRELATED),
     "gain-with-a-stale-S": (mutant(gain=lambda s, H, S: 0.9 * Plain.gain(s, H, S)), None),
@@ -191,7 +235,7 @@ MUTANTS = {
     "new-without-heading": (mutant(Gx=lambda s, G: G * [1, 1, 0]), Bug.NEW_NO_HEADING),
     "new-with-the-identity": (mutant(founded=lambda s, Gx, Gz, R: (0 * Gx @ s.P[:3], np.eye(2))), Bug.NEW_FIXED),
     "new-with-the-identity-then-corrected": (mutant(found=fixed_and_corrected), Bug.NEW_FIXED_CORRECTED),
-    "new-with-two-variances": (mutant(found=lambda s, z, R: fixed_and_corrected(s, z, R, [0.02, 3])), None),
+    "new-too-sure-then-corrected": (mutant(found=lambda s, z, R: fixed_and_corrected(s, z, 0.3 * R)), None),
     "first-dropped": (mutant(chosen=lambda s, rows: rows[1:]), Bug.FIRST_DROPPED),
     "last-dropped": (mutant(chosen=lambda s, rows: rows[:-1]), Bug.LAST_DROPPED),
     "every-second-dropped": (mutant(chosen=lambda s, rows: rows[::2]), Bug.EVERY_SECOND_DROPPED),
