@@ -17,8 +17,11 @@ def read_lines(path: Path) -> tuple[list[tuple[int, str]], str, str]:
     """Rows of a file with the numbers of their lines; the word of FILE:WORD, which these rows hold; and a note on
     titles that are left out. DataError for a file that cannot be read, or is no text.
     """
-    file, word = file_and_word(path)
-    content, word = unwrapped(path, bytes_of(file, missing="no such file"), word)
+    from data.formats.arrays import records
+
+    content, word = records(path)
+    if not content:
+        content, word = unwrapped(path, bytes_of(file_and_word(path)[0], missing="no such file"), word)
     try:
         text = content.decode("utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
     except UnicodeDecodeError:

@@ -652,6 +652,7 @@ def kinds_by_part(path: Path) -> dict[str, Path]:
     return found if "odometry" in found and len(found) == len(of) else {}
 
 
+HOLDING = frozenset(("data", "msg", "payload"))  # Objects within an object
 COMMANDED = frozenset(("cmd", "command", "commanded", "control", "input"))  # Beside measured speeds not taken
 
 
@@ -690,7 +691,7 @@ def meaning(name: str) -> tuple[frozenset[str], tuple[str, str], tuple[str, str]
     """The parts that a column's name tells; role and words of the name, and those without the words that tell parts."""
     words, _ = words_of(name)
     parts = frozenset(part for part, of in PARTS.items() if any(w in of or w.rstrip("s") in of for w in words))
-    own = COMMANDED.union(*(PARTS[part] for part in parts))
+    own = (COMMANDED | HOLDING).union(*(PARTS[part] for part in parts))
     rest = [w for w in words if w not in own and w.rstrip("s") not in own]
     return parts, (role_of(name)[0], "".join(words)), (role_of("_".join(rest))[0], "".join(rest))
 

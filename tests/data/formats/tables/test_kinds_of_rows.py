@@ -570,3 +570,31 @@ def test_rows_of_any_number_of_observations_are_rows_of_one(read, unread):
     assert "inferred: a row is a stamp and any number of observations of 3 numbers each" in said
     files["s.txt"] = files["s.txt"].replace(rows[5], rows[5] + " 7")
     assert "a row for each is needed" in unread(files, "--observations", "s.txt")
+
+
+@pytest.mark.parametrize("form", ["cells", "a vector in each", "its transpose", "lists"])
+def test_cells_by_row_are_lines_of_words_and_numbers(convert, tmp_path, form):
+    rows = [row for k in range(40) for row in (["odom", k, 0.5, 0.1], ["lm", k, 9.0 - 0.1 * k, 0.2])]
+    held = rows if form != "a vector in each" else [[row[0], np.array(row[1:])] for row in rows]
+    made = np.empty((len(held), len(held[0])), object)
+    for (i, j), _ in np.ndenumerate(made):
+        made[i, j] = held[i][j]
+    savemat(tmp_path / "a.mat", {"log": made.T if form == "its transpose" else made})
+    file, named = "a.json" if form == "lists" else "a.mat", ("--columns", "odometry.t=2,v=3,omega=4,range=3,bearing=4")
+    log, said = convert({"a.json": json.dumps(rows)}, "table", file, "out", *named)
+    assert log.recorded.observations.z[:, 0] == pytest.approx(9.0 - 0.1 * np.arange(40))
+    assert log.recorded.increments.mean[:, 2].sum() == pytest.approx(3.9)
+    assert f"inferred: --odometry {file}:odom, --observations {file}:lm" in said
+
+
+def test_lists_side_by_side_in_objects_and_what_is_named_alone(convert):
+    """Columns of observations that are named leave the odometry to be found."""
+    seen = [
+        {"t": k, "data": {"ids": [*range(k % 4)], "r": [5.0] * (k % 4), "b": [0.1 * k] * (k % 4)}} for k in range(40)
+    ]
+    text = json.dumps({"odom": [[0.1 * k, 0.5, 0.1] for k in range(500)], "obs": seen})
+    log, said = convert({"a.json": text}, "table", "a.json", "out", "--columns", "range=data.r,bearing=data.b")
+    o = log.recorded.observations
+    assert (log.label[:6].tolist(), np.unique(o.frame).size) == ([0, 0, 1, 0, 1, 2], 30)
+    assert o.z[:6, 1] == pytest.approx([0.1, 0.2, 0.2, 0.3, 0.3, 0.3])
+    assert "inferred: --columns odometry.t=odom_1,odometry.v=odom_2,odometry.omega=odom_3" in said
