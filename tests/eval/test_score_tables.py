@@ -129,6 +129,15 @@ def test_of_stamps_those_count_that_tell_rows_apart_and_rows_of_both_without_are
     assert (values["rmse_position_m"], values["matched"]) == (pytest.approx(0.1), 60)
 
 
+@pytest.mark.parametrize(("stated", "off"), [((), 0.0), (("2",), 0.0), (("0",), 1.0)])
+def test_rows_that_are_moved_by_a_stated_number_are_not_moved_by_an_inferred_one_too(scored, stated, off):
+    turn = np.cumsum(np.random.default_rng(0).normal(0.0, 0.2, 150))
+    path = np.column_stack([np.cumsum(np.cos(turn)), np.cumsum(np.sin(turn)), turn])
+    texts = (table(dict(zip(("x", "y", "theta"), rows.T, strict=True))) for rows in (path[2:-1], path))
+    values = scored(*texts, flags=["--time-offset"] * bool(stated) + [*stated])
+    assert values["rmse_position_m"] == pytest.approx(2.0 * off, abs=0.1 * off + 1e-6)
+
+
 def message(k, listed):
     x, y, turn = MINE[k]
     covariance = [0.01 * (i % 7 == 0) for i in range(36)]
