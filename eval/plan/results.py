@@ -7,13 +7,16 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
+from data.columns.header import HEADER
 from data.columns.named import LENGTH
 from data.dates import ISO
 from data.earth import east_north_up
 from data.errors import DataError, UsageError, did_you_mean
+from data.formats.open_log import load_folder
 from data.formats.results import path as paths
 from data.formats.results.bags import file_and_topic, is_bag
 from data.formats.results.path import ROWS, STATED, Clock, GivenPath, Manner, restamped
@@ -165,7 +168,14 @@ def _known(flag: str, value: str, known: Sequence[str]) -> str:
 
 
 def true_path(file: str, names: Sequence[str], reading: Matching, *, rows: bool = False) -> GivenPath:
-    """The true path in a file, whose `rows` hold the estimate, too; its covariance is not used."""
+    """The true path in a file, whose `rows` hold the estimate, too, or in a log folder; its covariance is not used."""
+    if (Path(file) / HEADER).is_file():
+        log = load_folder(file)
+        if log.truth.pose is None:
+            raise DataError.at(file, "has no true poses (truth.csv)")
+        clock = Clock("s", paths.ROWS if log.recorded.time_is_index else STATED)
+        datum, own = tuple(cast("list[float]", log.source.get("datum", ()))), f"log {log.name!r}"
+        return GivenPath(own, "a log folder", log.recorded.time, log.truth.pose, clock=clock, datum=datum)
     return read_path(file, replace(manner_of(TRUTH, names, reading), frame=None, order=None, rows=rows))
 
 

@@ -12,6 +12,7 @@ import slamref
 from data.formats.open_log import write_folder
 from data.log import Log
 from data.logs import open_log
+from eval.plan.results import PLAIN, true_path
 from eval.report.publish import write_tum
 from tests.builders.unpacked import unpacked
 from tests.eval.player.test_document import chunk_of
@@ -117,3 +118,9 @@ def test_the_truth_of_a_file_counts_without_results_of_others_too(ran):
     words = ["run", "log", "--truth", "shifted.tum", "--estimator", "ekf", "--no-plots", "--out", "shifted"]
     assert slamref.main(words) == 0
     assert pd.read_csv("shifted/metrics.csv").rmse_position_m[0] > 4.0
+
+
+def test_a_log_folder_is_a_truth():
+    log, path = open_log("log"), true_path("log", [], PLAIN)
+    assert np.array_equal(path.pose, log.truth.pose, equal_nan=True)
+    assert np.array_equal(path.time, log.recorded.time)
