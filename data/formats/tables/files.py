@@ -576,7 +576,9 @@ MORE: dict[str, tuple[str, ...]] = {
     "fixes": ("theta", "sx", "source"), "closures": ("sx", "source"),
 }  # fmt: skip
 """Quantities that a file may lack, by role; of sensors as of observations."""
-SPEED = ("v", "vel", "velocity", "speed")  # Words of the speed of a wheel
+SPEED = ("velocity", "vel", "v", "speed", "omega", "w")  # Words of the speed of a wheel, the last two of its turning
+WHEEL = "|".join(("wheels?", *SPEED, "ticks?", "counts?", "position", "pos", "angle", "joint", "encoder", "enc", "phi"))
+WHEELS = {side: re.compile(f"(?!{side[0]}$)(?:{WHEEL})*(?:{side}|{side[0]})(?:{WHEEL})*") for side in ("left", "right")}
 ALSO = {
     "v": ("velocity", "vel", "speed", "linearvelocity", "linearspeed", "linvel", "forwardvelocity", "forwardspeed"),
     "omega": (
@@ -585,10 +587,6 @@ ALSO = {
     "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg", "b", "phi", "azimuth"),
     "dx": ("d", "ds", "deltas", "deltad", "deltax"), "dy": ("deltay",), "dtheta": ("deltatheta", "deltayaw", "dyaw"),
     "steering": ("steer", "steeringangle"), "dt": ("deltat", "deltatime", "timestep"),
-    **{
-        side: tuple(name for word in (*SPEED, "tick", "ticks", "count") for name in (f"{side}{word}", f"{word}{side}"))
-        for side in ("left", "right")
-    },
     "x": ("gpsx", "uwbx", "east", "easting", "relx", "xrel", "localx", "xlocal"),
     "y": ("gpsy", "uwby", "north", "northing", "rely", "yrel", "localy", "ylocal"), "theta": ("orientation",),
     **dict.fromkeys(("label", "id"), ("landmarkid", "beaconid", "markerid", "tagid")),
@@ -757,11 +755,6 @@ class Columns:
                 return names
         return []
 
-    def of_twist(self, file: TextTable, role: str) -> bool:
-        """Whether the speed of an odometry is the field of a message beside its pose."""
-        column = self.find(file, role, "v")
-        return column is not None and "".join(words_of(file.names[column])[0]).endswith(TWIST["v"])
-
     def take_series(self, file: TextTable, role: str) -> None:
         """Of arrays of several lengths: the stamps of a role are those as long as what it measures, which is noted."""
         usual = ("v", "omega", "theta", "dtheta", "left") if role == "odometry" else ("range", "bearing")
@@ -807,6 +800,9 @@ class Columns:
             also = also or [c for c, word in last.items() if word == (ELEMENT if quantity == "frame" else quantity)]
         if quantity == "theta" and not also:  # phi_true beside x_true
             also = [c for c, (of, _, (_, word)) in meant.items() if word in ("phi", "psi") and role in of]
+        if quantity in WHEELS and not also:
+            also = [c for c in read if WHEELS[quantity].fullmatch(meant[c][1][1])]
+            also = [c for c in also if not {*SPEED} & {*re.findall(WHEEL, meant[c][1][1])}] or also  # angles first
         if quantity == "t":  # not the time of recording
             also = [c for c in also if (file.path, role, c) not in self.intervals]
             also = [c for c in also if "header" in file.names[c]] or also

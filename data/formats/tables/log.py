@@ -24,7 +24,7 @@ from data.formats.results.bags import file_and_topic
 from data.formats.results.path import ABSENT, COARSE, in_order, unturned
 from data.formats.second_odometry import together
 from data.formats.tables.files import QUATERNION, SCANS, SECOND, TextTable, headings, nothing_there
-from data.formats.tables.motion import Odometry, pose_columns, read_odometry, read_second, second_closures
+from data.formats.tables.motion import Odometry, other_rate, pose_columns, read_odometry, read_second, second_closures
 from data.formats.tables.request import LOOKS, OBSERVATIONS, SENSOR, TableSensor, Wanted
 from data.formats.tables.scans import read_scans
 from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations, Prior, Scans
@@ -342,6 +342,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     columns, texts, notes = wanted.columns, wanted.texts, wanted.columns.notes
     between = wanted.kind == "steps" and _between(wanted)
     odometry = read_odometry(texts["odometry"], columns, wanted.kind, wanted.wheels, between=between)
+    other_rate(texts["odometry"], columns, odometry, wanted.wheels)
     if wanted.backward and odometry.velocities:
         odometry = odometry.held_backward()
     parts = [read_observations(texts[sensor.role], sensor, wanted, odometry, notes) for sensor in wanted.sensors]

@@ -5,9 +5,12 @@ A second one becomes closures between successive frames (`--second-odometry FILE
 
 from __future__ import annotations
 
+import math
 import re
+import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +21,9 @@ from data.errors import DataError, UsageError
 from data.formats.messages import runs_of
 from data.formats.recordings.laser import TravelNoise, increments_of
 from data.formats.results.path import COARSE, STEPS
+from data.formats.results.reading import words_of
 from data.formats.second_odometry import closures_between, covered, of_twists, own_name
-from data.formats.tables.files import BEYOND, QUATERNION, SECOND, Columns, TextTable, headings
+from data.formats.tables.files import BEYOND, QUATERNION, SECOND, TWIST, Columns, TextTable, factor, headings, meaning
 from data.inputs import Increments
 from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate, told
 from data.pose_measurements import Closures
@@ -27,6 +31,7 @@ from data.se2 import Array
 from data.terminal import counted
 from data.timeline import usual_gap
 
+SAID = tomllib.loads(Path(__file__).with_name("noise.toml").read_text(encoding="utf-8"))
 KINDS = {
     "velocities": ("v", "omega"), "poses": ("x", "y", "theta"), "steps": ("dx", "dy", "dtheta"),
     "ticks": ("left", "right"), "car": ("v", "steering"), "sideways": ("v", "vy", "omega"), "course": ("v", "theta"),
@@ -125,7 +130,8 @@ def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | Non
     stated = [k for k in found if columns.stated(role, KINDS[k])]
     if len(found) > 1 and not stated and columns.taken(file, role, ("x", "y"), truth):
         found.remove("poses")
-    if {"velocities", "poses"} <= {*found} and not stated and columns.of_twist(file, role):
+    both, v = {"velocities", "poses"} <= {*found} and not stated, columns.find(file, role, "v")
+    if both and meaning(file.names[v or 0])[1][1].endswith(TWIST["v"]):
         found.remove("velocities")  # of which a message's pose is made
     named = stated or [k for k in found if {*KINDS[k]} <= {*file.names}]
     if len(named or found) == 1:
@@ -139,8 +145,13 @@ def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | Non
         own = "" if role == "odometry" else f"{role}."
         if any(re.search("(?i)acc|^a_?[xy]$", name) for name in file.names):
             what += " (accelerations are not integrated: their errors grow with the square of time; a gyro is omega)"
+        if sum(re.search(FOUR, name) is not None for name in file.names) >= 4:
+            what += f" ({SAID['four-wheels']})"
         raise DataError.at(file.path, f"{what}; name them as in --columns {own}v=SPEED,{own}omega=TURN_RATE")
     raise DataError.at(file.path, f"holds {' and '.join(named or found)}; choose one with --{role}-kind {found[0]}")
+
+
+FOUR = "(?i)(front|rear|back|(^|_)[fbr])_?(left|right|[lr](?![a-z]))"  # In the name of each of four wheels
 
 
 def pose_columns(file: TextTable, columns: Columns, role: str) -> tuple[str, ...]:
@@ -253,6 +264,25 @@ def read_odometry(
         assert wheels is not None  # of ticks they are stated
         pose = _rolled(table.stack(KINDS["ticks"]), wheels, time)
     return Odometry(table, time, stamped, pose, instants)
+
+
+def other_rate(file: TextTable, columns: Columns, odometry: Odometry, wheels: Wheels | None) -> None:
+    """Note a turn rate in the odometry's table that is not read, and is the odometry's but for a factor."""
+    rows, turn = np.searchsorted(file.line, odometry.table.line), odometry.motion[:, -1]
+    own = turn if odometry.velocities else np.diff(np.unwrap(turn)) / np.diff(odometry.time)
+    free = [n for n in file.names if re.search(TURN_RATE, n, re.I) and (file.path, n) not in columns.read]
+    for name in free if len(rows) == len(turn) > MANY else ():
+        si, unit = columns.units.factor("odometry", "omega"), factor("angle/time", words_of(name)[1] or "rad/s", name)
+        other = unit * file.numbers(file.names.index(name), np.ones(len(file), bool))[rows]
+        (a, b), (_, c) = np.cov(own, other if odometry.velocities else 0.5 * (other[1:] + other[:-1]))
+        if b * b > ALIKE * a * c and abs((times := math.copysign(math.sqrt(c / a), b)) - 1.0) > OFF:
+            flag = f"--unit omega={si * times:.4g}rad/s"
+            flag = flag if wheels is None else f"--track-width {wheels.track_width / times:.4g}"
+            columns.notes.append(f"{file.path.name}: {SAID['other-rate'].format(name=name, times=times, flag=flag)}")
+
+
+TURN_RATE = r"(gyro|rate|angular.*|omega|w)_?z?(\W.*)?$"  # Names of columns of turn rates
+ALIKE, OFF = 0.8, 0.05  # Share of the variance that a factor explains, at least, and its least difference from 1
 
 
 def path_of(texts: Mapping[str, TextTable], columns: Columns, kind: str) -> tuple[Array, Array] | None:
