@@ -87,7 +87,7 @@ UNIT = (
     r"[\[(]?\s*(|-|%|[mun]?s|[mun]?sec|seconds?|[cmk]?m|met(er|re)s?|(deg|degrees?|°|rad|radians?|[cmk]?m|g)"
     r"(/s(\^?2|²|/s)?)?|km/h|hz|ticks?|counts?|n/?a)\s*[\])]?"
 )
-ALONE, NOTHING = r"\[([-+.\deE]+)\]", r"(?<![^\s,;])(?:N/A|n/a|None|null|NULL|-)(?=$|[\s,;])"
+ALONE, NOTHING = r"(?<![\w\]])\[([-+.\deE]+)\]", r"(?<![^\s,;])(?:N/A|n/a|None|null|NULL|-)(?=$|[\s,;])"
 LEADING = 30  # First lines among which the first row of numbers is looked for
 
 
@@ -152,27 +152,31 @@ LONGEST = 1000  # Lines of a field within quotes
 
 
 def _pairs(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
-    """A header and rows of lines `key: number, key: [number, number]` of the same keys, two numbers at least, of lists
-    as key_1, key_2; a number in brackets before them is the stamp. None of other lines.
+    """A header and rows of lines `key: number, key: [number, number]` (or `key: number number`) of the same keys, two
+    numbers at least, of lists as key_1, key_2, below titles; a number in brackets before them is the stamp. None of
+    other lines.
     """
     rows, names = list[tuple[int, str]](), ""
     for number, line in lines:
-        if not line.strip():
+        if not line.strip() or line.lstrip().startswith("#"):
             continue
         found = [(key, (one or several).replace(",", " ").split()) for key, one, several in re.findall(PAIR, line)]
         rest = re.sub(PAIR, "", line)
         if stamp := re.match(rf"\s*(?:\[({NUMBER})\]|({NUMBER}):)", rest):
             found, rest = [("t", [stamp[1] or stamp[2]]), *found], rest[stamp.end() :]
         each = [f"{k}_{j}" if len(v) > 1 else k for k, v in found for j in range(1, len(v) + 1)]
-        names = names or ",".join(each)
-        if len(each) < 2 or ",".join(each) != names or re.search(r"[\d=]", rest):
-            return []
-        rows.append((number, ",".join(v for _, values in found for v in values)))
+        told = "" if len(each) < 2 or re.search(r"[\d=]", rest) else ",".join(each)
+        if told != names or not told:
+            if len(rows) > 1 or number > LEADING:
+                return []
+            rows, names = [], told  # a title above it
+        rows += [(number, ",".join(v for _, values in found for v in values))] * bool(told)
     return [(1, names), *rows] if rows else []
 
 
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-PAIR = rf"(?<!\w)([A-Za-z_]\w*)\s*[:=]\s*(?:({NUMBER})(?![\w.])|[\[(]\s*({NUMBER}(?:[\s,]+{NUMBER})*)\s*[\])])"
+SEVERAL = rf"{NUMBER}(?: +{NUMBER})*", rf"[\[(]\s*({NUMBER}(?:[\s,]+{NUMBER})*)\s*[\])]"
+PAIR = rf"(?<!\w)([A-Za-z_]\w*)\s*[:=]\s*(?:({SEVERAL[0]})(?![\w.])|{SEVERAL[1]})"
 
 
 def _blocks(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:

@@ -577,7 +577,8 @@ MORE: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Quantities that a file may lack, by role; of sensors as of observations."""
 SPEED = ("velocity", "vel", "v", "speed", "omega", "w")  # Words of the speed of a wheel, the last two of its turning
-WHEEL = "|".join(("wheels?", *SPEED, "ticks?", "counts?", "position", "pos", "angle", "joint", "encoder", "enc", "phi"))
+HOLDING = ("data", "message", "msg", "payload")  # Words of objects within an object
+WHEEL = "|".join((*HOLDING, "wheels?", *SPEED, "ticks?|counts?|position|pos|angle|joint|encoders?|enc|phi"))
 WHEELS = {side: re.compile(f"(?!{side[0]}$)(?:{WHEEL})*(?:{side}|{side[0]})(?:{WHEEL})*") for side in ("left", "right")}
 ALSO = {
     "v": ("velocity", "vel", "speed", "linearvelocity", "linearspeed", "linvel", "forwardvelocity", "forwardspeed"),
@@ -650,7 +651,6 @@ def kinds_by_part(path: Path) -> dict[str, Path]:
     return found if "odometry" in found and len(found) == len(of) else {}
 
 
-HOLDING = frozenset(("data", "msg", "payload"))  # Objects within an object
 COMMANDED = frozenset(("cmd", "command", "commanded", "control", "input"))  # Beside measured speeds not taken
 
 
@@ -689,7 +689,7 @@ def meaning(name: str) -> tuple[frozenset[str], tuple[str, str], tuple[str, str]
     """The parts that a column's name tells; role and words of the name, and those without the words that tell parts."""
     words, _ = words_of(name)
     parts = frozenset(part for part, of in PARTS.items() if any(w in of or w.rstrip("s") in of for w in words))
-    own = (COMMANDED | HOLDING).union(*(PARTS[part] for part in parts))
+    own = COMMANDED.union(HOLDING, *(PARTS[part] for part in parts))
     rest = [w for w in words if w not in own and w.rstrip("s") not in own]
     return parts, (role_of(name)[0], "".join(words)), (role_of("_".join(rest))[0], "".join(rest))
 

@@ -427,7 +427,7 @@ def _beside_odometry(p: _Parts, given: Given) -> None:
         if own:
             p.files[role], p.texts[role] = path, table
             p.infer(f"--{role} {path}, of its columns {', '.join(own)}")
-        arrays = role in ("map", "truth") and not own and is_arrays(path)
+        arrays = not own and ((role == "truth" and table.named) or (role == "map" and is_arrays(path)))
         if arrays and (layout := by_layout(table, role, alone=False)) is not None:
             p.files[role], p.texts[role], told = path, *_laid_out(table, role, p.columns, layout)
             p.infer(f"--{role} {path}, {told}")

@@ -598,3 +598,13 @@ def test_lists_side_by_side_in_objects_and_what_is_named_alone(convert):
     assert (log.label[:6].tolist(), np.unique(o.frame).size) == ([0, 0, 1, 0, 1, 2], 30)
     assert o.z[:6, 1] == pytest.approx([0.1, 0.2, 0.2, 0.3, 0.3, 0.3])
     assert "inferred: --columns odometry.t=odom_1,odometry.v=odom_2,odometry.omega=odom_3" in said
+
+
+def test_titles_above_keys_with_several_numbers_and_names_with_numbers_in_brackets(read):
+    lines = [f"time: {k}.5 ticks: {10 * k} {12 * k} true_pose: {k} 0 0\n" for k in range(9)]
+    words = ("--columns", "left=ticks_1,right=ticks_2", "--track-width", "1", "--metres-per-tick", "0.1")
+    log, _ = read({"a.txt": "#made: 1 2\n\tturned: [0, 0, 1],\n" + "".join(lines)}, *words)
+    assert (log.truth.pose[:, 0].tolist(), log.recorded.increments.mean[2, 2]) == ([*range(9)], pytest.approx(0.2))
+    text = "t,pose[0][0],pose[0][1],pose[2]\n" + "".join(f"{k},{k},0,0\n" for k in range(9))
+    log, _ = read({"a.csv": text}, "--truth", "a.csv", "--columns", "x=pose[0][0],y=pose[0][1],theta=pose[2]")
+    assert log.recorded.increments.mean[:, 0].sum() == pytest.approx(8.0)
