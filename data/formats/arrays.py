@@ -33,17 +33,13 @@ ELEMENT = "element"  # Name of the column of numbers of structs, from 0
 
 def is_arrays(path: Path) -> bool:
     """Whether a file is one of arrays by its name, and not of `records`."""
-    if records(path)[0]:
-        return False
-    path = file_and_word(path)[0]
-    one = path.suffix.lower() in YAML and "\n---" not in (read_plain(path) if path.is_file() else "")  # no messages
-    return one or path.suffix.lower() in SUFFIXES or is_octave(path)
+    lines, path = records(path)[0], file_and_word(path)[0]
+    suffix, there = path.suffix.lower(), path.is_file() and not lines
+    return there and (suffix in SUFFIXES or is_octave(path) or (suffix in YAML and "\n---" not in read_plain(path)))
 
 
 def records(path: Path) -> tuple[bytes, str]:
-    """Rows of words and numbers as CSV, of the matrix of FILE:NAME or the longest array of a file, else none; and the
-    word that these rows hold.
-    """
+    """Words and numbers of the matrix FILE:NAME, or of the longest array, as CSV, else none; the word of their rows."""
     path, word = file_and_word(path)
     held = path.is_file() and (path.suffix.lower() in (".mat", *TEXTS, *PICKLES) or is_octave(path))
     return _records(path, word, path.stat().st_mtime_ns) if held else (b"", word)

@@ -285,9 +285,7 @@ def _of_scipy(value: Any) -> Any:
 
 
 def _rows(cells: NDArray[Any]) -> NDArray[Any]:
-    """A matrix of numbers, where cells have one each or none, or of the words and numbers of each row, blank at its
-    end; of other cells one after the other.
-    """
+    """A matrix of numbers, of cells with one or none; else of each row's words and numbers; other cells in turn."""
     kinds, most = {kind_of(cell) for cell in cells.flat}, max(map(np.size, cells.flat))
     if kinds == {"numbers"} and most == 1:
         return np.array([[cell.item() if cell.size else np.nan for cell in row] for row in cells])
@@ -336,7 +334,7 @@ def _is_listed(item: Any) -> bool:
     return hasattr(item, "dtype") and item.dtype.kind == "O" and _class(item) != "cell"
 
 
-def _of_hdf5(file: Any, item: Any) -> Value:
+def _of_hdf5(file: Any, item: Any) -> Any:
     if not hasattr(item, "dtype"):
         size, fields = _described(item)
         # elements are stored in MATLAB's order, columns first
@@ -351,8 +349,7 @@ def _of_hdf5(file: Any, item: Any) -> Value:
         return np.zeros(tuple(int(n) for n in content.ravel()))
     if kind == "cell":
         cells = [_of_hdf5(file, file[reference]) for reference in content.ravel()]
-        held: Value = _of_scipy(np.fromiter(cells, object, len(cells)).reshape(content.shape[::-1], order="F"))
-        return held
+        return _of_scipy(np.fromiter(cells, object, len(cells)).reshape(content.shape[::-1], order="F"))
     if kind == "char":
         return np.array(["".join(map(chr, content.T.ravel()))])
     if item.dtype.kind == "V":

@@ -71,7 +71,7 @@ def _of_motive(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], str
     kinds, bodies, parts, axes = (rows[k][1] for k in (0, 1, top - 1, top))
     unit = next((unit for word, unit in (("Millimeters", "mm"), ("Centimeters", "cm")) if word in title), "m")
     of, made = dict(zip("XYZW", "yzxw", strict=True)), {1: "t [s]"}
-    for j, (kind, body, part, axis) in enumerate(zip(kinds, bodies, parts, axes, strict=False)):
+    for j, (kind, body, part, axis) in enumerate(zip(kinds, bodies, parts, map(str.upper, axes), strict=False)):
         if kind == "Rigid Body" and body == bodies[kinds.index(kind)] and axis in of:
             made[j] = f"q{of[axis]}" if part == "Rotation" else f"{of[axis]} [{unit}]"
     said = f"inferred: rigid body {bodies[min(made.keys() - {1}, default=1)]} of Motive, whose y is up and becomes z"
@@ -152,9 +152,8 @@ LONGEST = 1000  # Lines of a field within quotes
 
 
 def _pairs(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
-    """A header and rows of lines `key: number, key: [number, number]` (or `key: number number`) of the same keys, two
-    numbers at least, of lists as key_1, key_2, below titles; a number in brackets before them is the stamp. None of
-    other lines.
+    """A header and rows of lines `key: number, key: [number, number], key: number number` of the same keys, below
+    titles, of lists as key_1, key_2; a number in brackets before them is the stamp. None of other lines.
     """
     rows, names = list[tuple[int, str]](), ""
     for number, line in lines:

@@ -55,6 +55,7 @@ def numbers(out: str) -> dict[str, float]:
 def test_scoring_its_file_gives_the_numbers_of_the_run_and_on_request_the_window_counts(ran, capsys):
     assert NOTICE in ran.said
     assert ran.row.nees_pose < 9.0
+    assert np.array_equal(true_path("log", [], PLAIN).pose, open_log("log").truth.pose, equal_nan=True)
     assert slamref.main(["score", ESTIMATE, "log"]) == 0
     out, err = capsys.readouterr()
     assert {n: numbers(out)[n] for n in NUMBERS} == pytest.approx({n: ran.row[n] for n in NUMBERS}, rel=1e-5)
@@ -118,9 +119,3 @@ def test_the_truth_of_a_file_counts_without_results_of_others_too(ran):
     words = ["run", "log", "--truth", "shifted.tum", "--estimator", "ekf", "--no-plots", "--out", "shifted"]
     assert slamref.main(words) == 0
     assert pd.read_csv("shifted/metrics.csv").rmse_position_m[0] > 4.0
-
-
-def test_a_log_folder_is_a_truth():
-    log, path = open_log("log"), true_path("log", [], PLAIN)
-    assert np.array_equal(path.pose, log.truth.pose, equal_nan=True)
-    assert np.array_equal(path.time, log.recorded.time)

@@ -652,6 +652,7 @@ def kinds_by_part(path: Path) -> dict[str, Path]:
 
 
 COMMANDED = frozenset(("cmd", "command", "commanded", "control", "input"))  # Beside measured speeds not taken
+BESIDE = COMMANDED | {"gyro", "gyroz", "imu"}  # Not taken beside others
 
 
 THRUN = [re.compile(rf"(d|delta)?{end}") for end in ("rot(ation)?1", "trans(lation)?", "rot(ation)?2")]
@@ -792,7 +793,7 @@ class Columns:
             return file.find("time" if quantity == "t" and self._headings(file) else quantity)
         read = [c for c in meant if role not in PARTS or not meant[c][0] or role in meant[c][0]]  # of no other part
         also = also or [c for c in whole if c in read] or [c for c in apart if c in read]
-        also = [c for c in also if not COMMANDED & {*words_of(file.names[c])[0]}] or also
+        also = [c for c in also if not BESIDE & {*words_of(file.names[c])[0]}] or also
         also = [c for c in also if quantity != "label" or meant[c][2][1] != "id" or _comes_again(file, c)]
         if not also and quantity in WITHIN:  # of a field within structs; not the number of a struct that has its own
             last = {c: "".join(words_of(name.rpartition(".")[2])[0]) for c, name in enumerate(file.names) if file.named}

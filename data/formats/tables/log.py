@@ -342,7 +342,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     columns, texts, notes = wanted.columns, wanted.texts, wanted.columns.notes
     between = wanted.kind == "steps" and _between(wanted)
     odometry = read_odometry(texts["odometry"], columns, wanted.kind, wanted.wheels, between=between)
-    other_rate(texts["odometry"], columns, odometry, wanted.wheels)
+    other_rate(texts["odometry"], columns, odometry, wanted.wheels if wanted.kind == "ticks" else None)
     if wanted.backward and odometry.velocities:
         odometry = odometry.held_backward()
     parts = [read_observations(texts[sensor.role], sensor, wanted, odometry, notes) for sensor in wanted.sensors]

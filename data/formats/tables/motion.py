@@ -5,10 +5,10 @@ A second one becomes closures between successive frames (`--second-odometry FILE
 
 from __future__ import annotations
 
-import math
 import re
 import tomllib
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -151,9 +151,6 @@ def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | Non
     raise DataError.at(file.path, f"holds {' and '.join(named or found)}; choose one with --{role}-kind {found[0]}")
 
 
-FOUR = "(?i)(front|rear|back|(^|_)[fbr])_?(left|right|[lr](?![a-z]))"  # In the name of each of four wheels
-
-
 def pose_columns(file: TextTable, columns: Columns, role: str) -> tuple[str, ...]:
     """x, y and theta, or a quaternion instead of a missing theta; of a truth without either x and y."""
     if role == "truth" and columns.stated(role, ("dx",)):
@@ -268,21 +265,17 @@ def read_odometry(
 
 def other_rate(file: TextTable, columns: Columns, odometry: Odometry, wheels: Wheels | None) -> None:
     """Note a turn rate in the odometry's table that is not read, and is the odometry's but for a factor."""
-    rows, turn = np.searchsorted(file.line, odometry.table.line), odometry.motion[:, -1]
+    rows, turn, role = np.searchsorted(file.line, odometry.table.line), odometry.motion[:, -1], "odometry"
     own = turn if odometry.velocities else np.diff(np.unwrap(turn)) / np.diff(odometry.time)
-    free = [n for n in file.names if re.search(TURN_RATE, n, re.I) and (file.path, n) not in columns.read]
-    for name in free if len(rows) == len(turn) > MANY else ():
-        si, unit = columns.units.factor("odometry", "omega"), factor("angle/time", words_of(name)[1] or "rad/s", name)
-        other = unit * file.numbers(file.names.index(name), np.ones(len(file), bool))[rows]
-        (a, b), (_, c) = np.cov(own, other if odometry.velocities else 0.5 * (other[1:] + other[:-1]))
-        if b * b > ALIKE * a * c and abs((times := math.copysign(math.sqrt(c / a), b)) - 1.0) > OFF:
-            flag = f"--unit omega={si * times:.4g}rad/s"
-            flag = flag if wheels is None else f"--track-width {wheels.track_width / times:.4g}"
-            columns.notes.append(f"{file.path.name}: {SAID['other-rate'].format(name=name, times=times, flag=flag)}")
-
-
-TURN_RATE = r"(gyro|rate|angular.*|omega|w)_?z?(\W.*)?$"  # Names of columns of turn rates
-ALIKE, OFF = 0.8, 0.05  # Share of the variance that a factor explains, at least, and its least difference from 1
+    free = [n for n in file.names if re.search(TURN_RATE, n) and (file.path, n) not in columns.read]
+    for name in free if (odometry.velocities or wheels) and len(rows) == len(turn) > MANY else ():
+        with suppress(DataError, UsageError):  # no numbers, or of another unit
+            unit, si = factor("angle/time", words_of(name)[1] or "rad/s", name), columns.units.factor(role, "omega")
+            other = unit * file.numbers(file.names.index(name), np.ones(len(file), bool))[rows]
+            (a, b), (_, c) = np.cov(own, other if odometry.velocities else 0.5 * (other[1:] + other[:-1]))
+            if b * b > ALIKE * a * c and abs((k := float(np.sign(b) * np.sqrt(c / a))) - 1.0) > OFF:
+                flag = f"track-width {wheels.track_width / k:.4g}" if wheels else f"unit omega={si * k:.4g}rad/s"
+                columns.notes.append(f"{file.path.name}: {name} {SAID['other-rate'].format(times=k, flag=flag)}")
 
 
 def path_of(texts: Mapping[str, TextTable], columns: Columns, kind: str) -> tuple[Array, Array] | None:
@@ -317,6 +310,9 @@ def _intervals(file: TextTable, columns: Columns, role: str) -> None:
     columns.notes.append(f"{file.path.name}: inferred: --columns {role}.dt={name}, as {name} does not ascend")
 
 
+FOUR = "(?i)(front|rear|back|(^|_)[fbr])_?(left|right|[lr](?![a-z]))"  # In the name of each of four wheels
+TURN_RATE = r"(?i)(gyro|(yaw|turn).?rate|angular.*|omega|(^|[_.])w)_?z?(\W.*)?$"  # Names of columns of turn rates
+ALIKE, OFF = 0.8, 0.05  # Share of the variance that a factor explains, at least, and its least difference from 1
 LEAP, RESET = 5.0, 0.1  # Usual steps, and m, of a leap to the first pose, of an odometry that is set to zero
 MANY, SOME = 20, 0.1  # Fewest rows, and least share of steps back, of a column of times that are no stamps
 

@@ -452,8 +452,9 @@ def _below_odometry(p: _Parts) -> None:
 
 def _by_layout(p: _Parts) -> list[str]:
     """Take what columns that nobody named tell: an odometry, truth, map; the roles without a stated column."""
-    seen = (*STARRED[:2], *table_files.IDS)  # not of an odometry, a truth or a map
-    roles = {k.rpartition(".")[0] or OBSERVATIONS * (k in seen) for k in p.named}
+    of = dict.fromkeys((*STARRED[:2], *table_files.IDS), OBSERVATIONS)  # not of an odometry, a truth or a map
+    of |= {q: "odometry" for kind in KINDS.values() for q in kind if q not in KINDS["poses"]}
+    roles = {k.rpartition(".")[0] or of.get(k, "") for k in p.named}
     unnamed = [r for r in p.texts if not roles & {"", r, *[OBSERVATIONS] * (r in p.observing)}]
     if "map" in p.texts and not any(k.startswith("map.") or n in p.texts["map"].names for k, n in p.named.items()):
         unnamed.append("map")

@@ -552,6 +552,9 @@ def test_lines_of_keys_are_rows_by_their_order(convert, read):
     log, _ = read({"o.csv": WHEELS, "s.txt": "".join(blocks)}, "--observations", "s.txt", "--columns", "label=id")
     assert log.label.tolist() == [4, 7] * 6
     assert log.recorded.observations.z[::2, 0] == pytest.approx(9.0 - np.arange(6))
+    text = "#made: 1 2\n\tat: [0, 0, 1],\n" + "".join(f"t: {k}.5 pose[2]: {k} true_pose: {k} 0 0\n" for k in range(9))
+    log, _ = read({"o.csv": text.replace("pose[2]: ", "step: 1 ")}, "--columns", "dx=step_1,dtheta=step_2")
+    assert log.truth.pose[:, 0].tolist() == [*range(9)], "several numbers behind a key, below titles"
 
 
 def test_rows_of_any_number_of_observations_are_rows_of_one(read, unread):
@@ -572,39 +575,25 @@ def test_rows_of_any_number_of_observations_are_rows_of_one(read, unread):
     assert "a row for each is needed" in unread(files, "--observations", "s.txt")
 
 
-@pytest.mark.parametrize("form", ["cells", "a vector in each", "its transpose", "lists"])
+@pytest.mark.parametrize("form", ["cells", "its transpose", "lists"])
 def test_cells_by_row_are_lines_of_words_and_numbers(convert, tmp_path, form):
     rows = [row for k in range(40) for row in (["odom", k, 0.5, 0.1], ["lm", k, 9.0 - 0.1 * k, 0.2])]
-    held = rows if form != "a vector in each" else [[row[0], np.array(row[1:])] for row in rows]
-    made = np.empty((len(held), len(held[0])), object)
-    for (i, j), _ in np.ndenumerate(made):
-        made[i, j] = held[i][j]
+    made = np.array([[np.array(f) for f in row] for row in rows], object)
     savemat(tmp_path / "a.mat", {"log": made.T if form == "its transpose" else made})
-    file, named = "a.json" if form == "lists" else "a.mat", ("--columns", "odometry.t=2,v=3,omega=4,range=3,bearing=4")
-    log, said = convert({"a.json": json.dumps(rows)}, "table", file, "out", *named)
+    file, named = "a.json" if form == "lists" else "a.mat", "odometry.t=2,v=3,omega=4,range=3,bearing=4"
+    log, said = convert({"a.json": json.dumps(rows)}, "table", file, "out", "--columns", named)
     assert log.recorded.observations.z[:, 0] == pytest.approx(9.0 - 0.1 * np.arange(40))
-    assert log.recorded.increments.mean[:, 2].sum() == pytest.approx(3.9)
     assert f"inferred: --odometry {file}:odom, --observations {file}:lm" in said
 
 
 def test_lists_side_by_side_in_objects_and_what_is_named_alone(convert):
-    """Columns of observations that are named leave the odometry to be found."""
     seen = [
         {"t": k, "data": {"ids": [*range(k % 4)], "r": [5.0] * (k % 4), "b": [0.1 * k] * (k % 4)}} for k in range(40)
     ]
     text = json.dumps({"odom": [[0.1 * k, 0.5, 0.1] for k in range(500)], "obs": seen})
     log, said = convert({"a.json": text}, "table", "a.json", "out", "--columns", "range=data.r,bearing=data.b")
-    o = log.recorded.observations
-    assert (log.label[:6].tolist(), np.unique(o.frame).size) == ([0, 0, 1, 0, 1, 2], 30)
-    assert o.z[:6, 1] == pytest.approx([0.1, 0.2, 0.2, 0.3, 0.3, 0.3])
+    assert (log.label[:4].tolist(), log.recorded.observations.z[:4, 1]) == (
+        [0, 0, 1, 0],
+        pytest.approx([0.1, 0.2, 0.2, 0.3]),
+    )
     assert "inferred: --columns odometry.t=odom_1,odometry.v=odom_2,odometry.omega=odom_3" in said
-
-
-def test_titles_above_keys_with_several_numbers_and_names_with_numbers_in_brackets(read):
-    lines = [f"time: {k}.5 ticks: {10 * k} {12 * k} true_pose: {k} 0 0\n" for k in range(9)]
-    words = ("--columns", "left=ticks_1,right=ticks_2", "--track-width", "1", "--metres-per-tick", "0.1")
-    log, _ = read({"a.txt": "#made: 1 2\n\tturned: [0, 0, 1],\n" + "".join(lines)}, *words)
-    assert (log.truth.pose[:, 0].tolist(), log.recorded.increments.mean[2, 2]) == ([*range(9)], pytest.approx(0.2))
-    text = "t,pose[0][0],pose[0][1],pose[2]\n" + "".join(f"{k},{k},0,0\n" for k in range(9))
-    log, _ = read({"a.csv": text}, "--truth", "a.csv", "--columns", "x=pose[0][0],y=pose[0][1],theta=pose[2]")
-    assert log.recorded.increments.mean[:, 0].sum() == pytest.approx(8.0)

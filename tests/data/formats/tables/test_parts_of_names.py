@@ -93,34 +93,18 @@ def test_speeds_of_wheels_need_their_distance_alone(made, refused, tmp_path):
     assert drives(made({"robot.csv": text}, *words)[0])
     (tmp_path / "turns.csv").write_text(text.replace("cm/s", "rad/s"))
     assert "wheel's radius" in refused(main, ["table", str(tmp_path / "turns.csv"), "out2", *words])
-    (tmp_path / "four.csv").write_text(csv("t,fl_enc,fr_enc,rl_enc,rr_enc", ([k] * 5 for k in range(9))))
-    assert "vy = R (FR + RL - FL - RR) / 4" in refused(main, ["table", str(tmp_path / "four.csv"), "out2"])
 
 
-WHEELS = ("--track-width", "0.4", "--metres-per-tick", "0.1")
-WIDTH = "--track-width "
-
-
-@pytest.mark.parametrize(("names", "gyro", "flag"), [
-    ("wheel_left_pos,wheel_right_pos", "gyro_z", WIDTH), ("enc_l,enc_r", "wz (deg/s)", WIDTH),
-    ("velocity.left_joint,velocity.right_joint", "imu_yaw_rate", WIDTH), ("wl,wr", "gyro", WIDTH),
-    ("position.left_joint,velocity.left_joint,position.right_joint,velocity.right_joint", "gyro", WIDTH),
-    ("v,omega", "gyro_z", "--unit omega"),
-])  # fmt: skip
-def test_angles_of_wheels_and_a_gyro_that_turns_by_another_factor(made, names, gyro, flag):
-    omega = OMEGA * np.sin(0.2 * TIME)
+@pytest.mark.parametrize("names", ["wheel_left_pos,wheel_right_pos", "enc_l,enc_r", "message.encoders.left,wr", "v,w"])
+def test_angles_of_wheels_and_a_gyro_that_turns_by_another_factor(made, names):
+    wheels, omega = ("--track-width", "0.4", "--metres-per-tick", "0.1", "--ticks", "total"), OMEGA * np.sin(0.2 * TIME)
     heading = STEP * np.append(0.0, np.cumsum(omega)[:-1])
-    ways = [(V * TIME + a * 0.2 * heading, V + a * 0.2 * omega) for a in (-1, 1)]
-    rated = [name.startswith(("velocity", "w")) and "pos" not in name for name in names.split(",")]
-    wheels = [10.0 * ways[2 * k // len(rated)][rate] for k, rate in enumerate(rated)]
-    columns = [np.full(COUNT, V), omega] if names == "v,omega" else wheels
-    other = 1.35 * omega * (180.0 / np.pi if "deg" in gyro else 1.0)
-    text = csv(f"t,{names},{gyro},gps_x,gps_y", zip(TIME, *columns, other, FIXES, strict=True))
-    log, said = made({"robot.csv": text}, *WHEELS[: len(WHEELS) * (names != "v,omega")], "--prior", "0,0,0")
-    turned = log.recorded.increments.mean[1:, 2].sum()
-    assert turned == pytest.approx(np.interp(log.recorded.time[-1], TIME, heading), abs=1e-6)
-    times, flags = re.search(re.escape(gyro) + r" is ([\d.]+) times .* right\? (--[^=\d]*)", said).groups()
-    assert (float(times), flags) == (pytest.approx(1.35, rel=0.03), flag)
+    ways = [10.0 * (V * TIME + a * 0.2 * heading) for a in (-1, 1)] if names != "v,w" else [np.full(COUNT, V), omega]
+    text = csv(f"t,{names},gyro_z (deg/s),gps_x,gps_y", zip(TIME, *ways, np.rad2deg(1.35 * omega), FIXES, strict=True))
+    log, said = made({"robot.csv": text}, *wheels[: 6 * (names != "v,w")], "--prior", "0,0,0")
+    assert log.recorded.increments.mean[1:, 2].sum() == pytest.approx(np.interp(log.recorded.time[-1], TIME, heading))
+    times, flag = re.search(r"gyro_z .* is ([\d.]+) times .* right\? (--\S+)", said).groups()
+    assert (float(times), flag) == (pytest.approx(1.35, rel=0.03), "--unit" if names == "v,w" else "--track-width")
 
 
 def test_landmarks_named_by_words_and_the_start_that_takes_them_to_the_map(made):
