@@ -17,8 +17,7 @@ from data.columns.scans import BROKEN, array_of, open_archive
 from data.csv_table import is_number
 from data.errors import DataError
 from data.formats.matlab import CELLS, is_octave, kind_of, load, octave, variables
-from data.formats.messages import file_and_word
-from data.formats.wrapped import csv_of, package
+from data.formats.wrapped import csv_of, file_and_word, package
 from data.se2 import Array
 
 PICKLES = (".pkl", ".pickle", ".p")

@@ -10,15 +10,14 @@ from pathlib import Path
 from data.columns.named import STAMP
 from data.csv_table import bytes_of, is_number
 from data.errors import DataError
-from data.formats.wrapped import echoed_names, unwrapped
+from data.formats.arrays import records
+from data.formats.wrapped import echoed_names, file_and_word, unwrapped
 
 
 def read_lines(path: Path) -> tuple[list[tuple[int, str]], str, str]:
     """Rows of a file with the numbers of their lines; the word of FILE:WORD, which these rows hold; and a note on
     titles that are left out. DataError for a file that cannot be read, or is no text.
     """
-    from data.formats.arrays import records
-
     content, word = records(path)
     if not content:
         content, word = unwrapped(path, bytes_of(file_and_word(path)[0], missing="no such file"), word)
@@ -204,12 +203,6 @@ def _stamped(fields: dict[str, str]) -> dict[str, str]:
         else:
             out[stamp if part in ("secs", "sec") else name] = value
     return out
-
-
-def file_and_word(path: Path) -> tuple[Path, str]:
-    """The file of FILE:WORD, and the word that its rows hold; empty: all rows."""
-    name, colon, word = str(path).rstrip(":").rpartition(":")
-    return (Path(name), word) if colon and not path.exists() and Path(name).is_file() else (path, "")
 
 
 def parts_of(path: Path) -> list[Path]:

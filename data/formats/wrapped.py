@@ -25,6 +25,12 @@ ECHOED = tomllib.loads(Path(__file__).with_name("echoed.toml").read_text(encodin
 """Names of the columns that `ros2 topic echo --csv` prints, by type of message; NAME*9 are nine of them."""
 
 
+def file_and_word(path: Path) -> tuple[Path, str]:
+    """The file of FILE:WORD, and the word that its rows hold; empty: all rows."""
+    name, colon, word = str(path).rstrip(":").rpartition(":")
+    return (Path(name), word) if colon and not path.exists() and Path(name).is_file() else (path, "")
+
+
 def unwrapped(path: Path, content: bytes, word: str) -> tuple[bytes, str]:
     """Contents of a file as text, and the word that its rows hold, empty where it named the sheet. DataError for what
     cannot be read, or needs a package that is not installed.

@@ -17,7 +17,7 @@ from data.columns.poses import RELATIVE
 from data.csv_table import Table, is_name, is_number
 from data.digest import file_sha256
 from data.errors import DataError, UsageError, unknown
-from data.formats.messages import file_and_word, parts_of
+from data.formats.messages import parts_of
 from data.formats.open_log import Recording, Samples
 from data.formats.recordings.laser import FLOOR, without_odometry
 from data.formats.results.bags import file_and_topic
@@ -27,6 +27,7 @@ from data.formats.tables.files import QUATERNION, SCANS, SECOND, TextTable, head
 from data.formats.tables.motion import Odometry, other_rate, pose_columns, read_odometry, read_second, second_closures
 from data.formats.tables.request import LOOKS, OBSERVATIONS, SENSOR, TableSensor, Wanted
 from data.formats.tables.scans import read_scans
+from data.formats.wrapped import file_and_word
 from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations, Prior, Scans
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, gaps_said

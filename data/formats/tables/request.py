@@ -21,7 +21,6 @@ from data.columns.appearance import Noise
 from data.csv_table import is_name
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import is_arrays
-from data.formats.messages import file_and_word
 from data.formats.recordings.laser import SPEED, TravelNoise
 from data.formats.results.reading import RATES, words_of
 from data.formats.tables import files as table_files, motion
@@ -29,6 +28,7 @@ from data.formats.tables.files import POSE, ROLES, SCANS, SECOND, STAMPED, STARR
 from data.formats.tables.layout import by_layout, landmarks_in_rows, named_alike, seen_by_layout
 from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of, path_of
 from data.formats.tables.scans import BEAMS, folded_up, wide_in
+from data.formats.wrapped import file_and_word
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise
 from data.origin import Origin, Origins
 from data.se2 import Array
