@@ -130,6 +130,7 @@ def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | Non
     stated = [k for k in found if columns.stated(role, KINDS[k])]
     if len(found) > 1 and not stated and columns.taken(file, role, ("x", "y"), truth):
         found.remove("poses")
+    found = [k for k in found if k != "ticks" or [k] in (found, stated) or {*KINDS[k]} <= {*file.names, *columns.given}]
     both, v = {"velocities", "poses"} <= {*found} and not stated, columns.find(file, role, "v")
     if both and meaning(file.names[v or 0])[1][1].endswith(TWIST["v"]):
         found.remove("velocities")  # of which a message's pose is made

@@ -584,8 +584,7 @@ def _rates(p: _Parts, given: Given) -> Given:
         raise UsageError(f"{p.files['odometry']}: {name} is how fast a wheel turns; {motion.SAID['rates']}, and needed")
     metres = 1.0 if "metres-per-tick" in given else table_files.factor("length/time", unit, name)
     given = {"metres-per-tick": f"{metres:.9g}", **given, "ticks": "rate"}
-    flags = f"--ticks rate --metres-per-tick {given['metres-per-tick']}"
-    p.infer(f"{flags}, as {name} is a speed ({motion.SAID['rates']})")
+    p.infer(f"--ticks rate --metres-per-tick {given['metres-per-tick']}, as {name} is a speed ({motion.SAID['rates']})")
     return given
 
 
