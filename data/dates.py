@@ -8,7 +8,7 @@ from pathlib import Path
 from data.errors import DataError
 
 DATE = re.compile(
-    r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4}|\d{8}(?=T)|\d{4}-?W\d\d|\d\d?-[A-Za-z]{3}-\d{4}|\d\d?:\d\d:\d\d)(\D|$)"
+    r"(\d{4}[-/.:]\d\d?[-/.:]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4}|\d{8}(?=T)|\d{4}-?W\d\d|\d\d?-[A-Za-z]{3}-\d{4}|\d\d?:\d\d:\d\d)(\D|$)"
 )  # How they begin
 LAST = re.compile(r"^(\d\d?)[-/.](\d\d?)[-/.](\d{4})(?!\d)")  # with the year behind day and month
 ISO, DMY, MDY = DATES = ("iso", "dmy", "mdy")  # Units of time of dates; by the order of day and month before a year
@@ -54,7 +54,7 @@ def seconds_of(field: str, unit: str = ISO) -> float:
         return 3600.0 * int(day[1]) + 60.0 * int(day[2]) + float(day[3])
     if named := re.match(r"\d\d?-[A-Za-z]{3}-\d{4}", field):
         field = datetime.strptime(named[0], "%d-%b-%Y").strftime("%Y-%m-%d") + field[named.end() :]
-    elif dashed := re.match(r"(\d{4})[-/.](\d\d?)[-/.](\d\d?)", field):
+    elif dashed := re.match(r"(\d{4})[-/.:](\d\d?)[-/.:](\d\d?)", field):
         field = f"{dashed[1]}-{int(dashed[2]):02d}-{int(dashed[3]):02d}" + field[dashed.end() :]
     date = datetime.fromisoformat(re.sub(r" +(?=\d:)", " 0", field))
     return (date if date.tzinfo is not None else date.replace(tzinfo=UTC)).timestamp()

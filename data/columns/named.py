@@ -21,7 +21,7 @@ LEAST = 1e-12  # Least eigenvalue of a correlation matrix
 
 
 LENGTH = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "ft": 0.3048, "in": 0.0254, "yd": 0.9144}  # m, of units
-STAMP = ("t", "time", "times", "timestamp", "timestamps", "stamp", "datetime")
+STAMP = ("t", "time", "times", "timestamp", "timestamps", "stamp", "stamps", "datetime")
 YAW = ("theta", "yaw", "heading", "psi", "th")
 LANDMARK = ("landmark", "lm", "id", "tag", "marker", "beacon", "cone", "barcode", "subject", "feature", "anchor")
 MEANT = {

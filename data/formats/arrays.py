@@ -5,6 +5,7 @@ import math
 import pickle
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
+from functools import lru_cache
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -16,8 +17,7 @@ from data.columns.scans import BROKEN, array_of, open_archive
 from data.csv_table import is_number
 from data.errors import DataError
 from data.formats.matlab import CELLS, is_octave, kind_of, load, octave, variables
-from data.formats.messages import file_and_word
-from data.formats.wrapped import package
+from data.formats.wrapped import csv_of, file_and_word, package
 from data.se2 import Array
 
 PICKLES = (".pkl", ".pickle", ".p")
@@ -31,10 +31,29 @@ ELEMENT = "element"  # Name of the column of numbers of structs, from 0
 
 
 def is_arrays(path: Path) -> bool:
-    """Whether a file is one of arrays by its name."""
-    path = file_and_word(path)[0]
-    one = path.suffix.lower() in YAML and "\n---" not in (read_plain(path) if path.is_file() else "")  # no messages
-    return one or path.suffix.lower() in SUFFIXES or is_octave(path)
+    """Whether a file is one of arrays by its name, and not of `records`."""
+    lines, path = records(path)[0], file_and_word(path)[0]
+    suffix, there = path.suffix.lower(), path.is_file() and not lines
+    return there and (suffix in SUFFIXES or is_octave(path) or (suffix in YAML and "\n---" not in read_plain(path)))
+
+
+def records(path: Path) -> tuple[bytes, str]:
+    """Words and numbers of the matrix FILE:NAME, or of the longest array, as CSV, else none; the word of their rows."""
+    path, word = file_and_word(path)
+    held = path.is_file() and (path.suffix.lower() in (".mat", *TEXTS, *PICKLES) or is_octave(path))
+    return _records(path, word, path.stat().st_mtime_ns) if held else (b"", word)
+
+
+@lru_cache(maxsize=4)
+def _records(path: Path, word: str, _: int) -> tuple[bytes, str]:
+    found = named(path)
+    longest = max((math.inf if isinstance(v, dict) else max(np.shape(v), default=0) for v in found.values()), default=0)
+    for name, value in found.items():
+        of_all = word not in found and max(np.shape(value), default=0) == longest
+        if (of_all or word == name) and np.ndim(value) == 2 and kind_of(value) == "text":
+            table = value.T if len(value) <= WIDE[0] and len(value.T) >= WIDE[1] else value
+            return csv_of(table[0], table[1:]), "" if word == name else word
+    return b"", word
 
 
 def read_plain(path: Path) -> str:
@@ -256,14 +275,17 @@ def _listed(name: str, structs: Sequence[Mapping[str, Any]]) -> Columns:
             single += [key] * (own in columns)
         else:
             inside.append(key)
+    begun = dict[tuple[int, ...], int]()  # of fields with as many rows in each, the first of these
     for key in inside:
-        own, rows = f"{name}.{key}".strip("."), len(next(iter(columns.values()), ()))
-        shapes = {np.shape(v) for s in structs if isinstance(v := s[key], np.ndarray) and v.size and v.ndim == 2}
-        for k, struct in enumerate(structs):
-            found = _columns_across(own, struct[key], shapes)
-            count = max(map(len, found.values()), default=0)
-            found |= {f"{name}.{one}".strip("."): [repr(float(struct[one].item()))] * count for one in single}
-            found[f"{name}.{ELEMENT}".strip(".")] = [str(k)] * count
+        own = f"{name}.{key}".strip(".")
+        shapes = {np.shape(v) for s in structs if np.size(v := s[key]) and np.ndim(v) == 2}
+        each = [_columns_across(own, struct[key], shapes) for struct in structs]
+        counts = tuple(max(map(len, found.values()), default=0) for found in each)
+        again, rows = counts in begun, begun.setdefault(counts, len(next(iter(columns.values()), ())))
+        for k, (struct, found, count) in enumerate(zip(structs, each, counts, strict=True)):
+            if not again:
+                found |= {f"{name}.{one}".strip("."): [repr(float(struct[one].item()))] * count for one in single}
+                found[f"{name}.{ELEMENT}".strip(".")] = [str(k)] * count
             for column, values in found.items() if count else ():
                 columns.setdefault(column, []).extend([*[""] * (rows - len(columns.get(column, ()))), *values])
             rows += count
@@ -274,6 +296,8 @@ def _columns_across(name: str, value: Any, shapes: Collection[tuple[int, ...]]) 
     """Those of a matrix whose columns, or whose rows if only these differ in number among `shapes`, are rows."""
     if kind_of(value) != "numbers":
         return _unrolled(name, [value] if isinstance(value, dict) else value)
+    if value.ndim == 1:
+        return _numbered(name, value[:, None])
     low, wide = ({shape[axis] for shape in shapes} for axis in (0, 1))
     same = low if len(low) == 1 else wide
     if value.ndim != 2 or not value.size or min(len(low), len(wide)) > 1 or max(same) > WIDE[0]:

@@ -12,6 +12,7 @@ import struct
 import zlib
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -275,11 +276,23 @@ def _of_scipy(value: Any) -> Any:
         cells = [_of_scipy(item) for item in value.ravel(order="F")]
         if cells and all(isinstance(cell, dict) for cell in cells):
             return cells
-        return np.fromiter(cells, object, len(cells))
+        held = np.fromiter(cells, object, len(cells))
+        return held if min(value.shape) < 2 else _rows(held.reshape(value.shape, order="F"))
     if not isinstance(value, np.ndarray) or not value.dtype.names:
         return value
     found = [{name: _of_scipy(item[name]) for name in value.dtype.names} for item in value.ravel(order="F")]
     return found[0] if len(found) == 1 else found
+
+
+def _rows(cells: NDArray[Any]) -> NDArray[Any]:
+    """A matrix of numbers, of cells with one or none; else of each row's words and numbers; other cells in turn."""
+    kinds, most = {kind_of(cell) for cell in cells.flat}, max(map(np.size, cells.flat))
+    if kinds == {"numbers"} and most == 1:
+        return np.array([[cell.item() if cell.size else np.nan for cell in row] for row in cells])
+    if kinds != {"numbers", "text"} or any(min(cell.shape, default=0) > 1 for cell in cells.flat):
+        return cells.ravel(order="F")
+    rows = [[str(item) for cell in row for item in cell.ravel().tolist() or [""]] for row in cells]
+    return np.array([*zip_longest(*rows, fillvalue="")]).T
 
 
 # Version 7.3 stores arrays with their dimensions reversed. A struct is a group with an item per field; the fields of a
@@ -321,7 +334,7 @@ def _is_listed(item: Any) -> bool:
     return hasattr(item, "dtype") and item.dtype.kind == "O" and _class(item) != "cell"
 
 
-def _of_hdf5(file: Any, item: Any) -> Value:
+def _of_hdf5(file: Any, item: Any) -> Any:
     if not hasattr(item, "dtype"):
         size, fields = _described(item)
         # elements are stored in MATLAB's order, columns first
@@ -334,6 +347,9 @@ def _of_hdf5(file: Any, item: Any) -> Value:
     kind, content = _class(item), item[()]
     if item.attrs.get("MATLAB_empty", 0):
         return np.zeros(tuple(int(n) for n in content.ravel()))
+    if kind == "cell":
+        cells = [_of_hdf5(file, file[reference]) for reference in content.ravel()]
+        return _of_scipy(np.fromiter(cells, object, len(cells)).reshape(content.shape[::-1], order="F"))
     if kind == "char":
         return np.array(["".join(map(chr, content.T.ravel()))])
     if item.dtype.kind == "V":
@@ -374,7 +390,8 @@ def _octave(rows: list[str]) -> tuple[str, Any]:
         each = () if kind == "scalar struct" else zip(*fields.values(), strict=True)
         return name, [dict(zip(fields, row, strict=True)) for row in each] or fields
     if kind == "cell":
-        return name, _of_scipy(np.fromiter([_octave(rows)[1] for _ in range(math.prod(size))], object))
+        cells = [_octave(rows)[1] for _ in range(math.prod(size))]
+        return name, _of_scipy(np.fromiter(cells, object, len(cells)).reshape(size, order="F"))
     if not re.fullmatch(r"((global|bool|float|u?int\d+) )*(bool|scalar|matrix|(double_)?range)", kind):
         return name, np.array(data)
     numbers, n = [float(v) for row in data for v in row.replace("NA", "nan").split()], int(said.get("ndims", 0))

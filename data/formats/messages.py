@@ -10,15 +10,17 @@ from pathlib import Path
 from data.columns.named import STAMP
 from data.csv_table import bytes_of, is_number
 from data.errors import DataError
-from data.formats.wrapped import echoed_names, unwrapped
+from data.formats.arrays import records
+from data.formats.wrapped import echoed_names, file_and_word, unwrapped
 
 
 def read_lines(path: Path) -> tuple[list[tuple[int, str]], str, str]:
     """Rows of a file with the numbers of their lines; the word of FILE:WORD, which these rows hold; and a note on
     titles that are left out. DataError for a file that cannot be read, or is no text.
     """
-    file, word = file_and_word(path)
-    content, word = unwrapped(path, bytes_of(file, missing="no such file"), word)
+    content, word = records(path)
+    if not content:
+        content, word = unwrapped(path, bytes_of(file_and_word(path)[0], missing="no such file"), word)
     try:
         text = content.decode("utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
     except UnicodeDecodeError:
@@ -68,7 +70,7 @@ def _of_motive(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], str
     kinds, bodies, parts, axes = (rows[k][1] for k in (0, 1, top - 1, top))
     unit = next((unit for word, unit in (("Millimeters", "mm"), ("Centimeters", "cm")) if word in title), "m")
     of, made = dict(zip("XYZW", "yzxw", strict=True)), {1: "t [s]"}
-    for j, (kind, body, part, axis) in enumerate(zip(kinds, bodies, parts, axes, strict=False)):
+    for j, (kind, body, part, axis) in enumerate(zip(kinds, bodies, parts, map(str.upper, axes), strict=False)):
         if kind == "Rigid Body" and body == bodies[kinds.index(kind)] and axis in of:
             made[j] = f"q{of[axis]}" if part == "Rotation" else f"{of[axis]} [{unit}]"
     said = f"inferred: rigid body {bodies[min(made.keys() - {1}, default=1)]} of Motive, whose y is up and becomes z"
@@ -84,7 +86,7 @@ UNIT = (
     r"[\[(]?\s*(|-|%|[mun]?s|[mun]?sec|seconds?|[cmk]?m|met(er|re)s?|(deg|degrees?|°|rad|radians?|[cmk]?m|g)"
     r"(/s(\^?2|²|/s)?)?|km/h|hz|ticks?|counts?|n/?a)\s*[\])]?"
 )
-ALONE, NOTHING = r"\[([-+.\deE]+)\]", r"(?<![^\s,;])(?:N/A|n/a|None|null|NULL|-)(?=$|[\s,;])"
+ALONE, NOTHING = r"(?<![\w\]])\[([-+.\deE]+)\]", r"(?<![^\s,;])(?:N/A|n/a|None|null|NULL|-)(?=$|[\s,;])"
 LEADING = 30  # First lines among which the first row of numbers is looked for
 
 
@@ -149,27 +151,30 @@ LONGEST = 1000  # Lines of a field within quotes
 
 
 def _pairs(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
-    """A header and rows of lines `key: number, key: [number, number]` of the same keys, two numbers at least, of lists
-    as key_1, key_2; a number in brackets before them is the stamp. None of other lines.
+    """A header and rows of lines `key: number, key: [number, number], key: number number` of the same keys, below
+    titles, of lists as key_1, key_2; a number in brackets before them is the stamp. None of other lines.
     """
     rows, names = list[tuple[int, str]](), ""
     for number, line in lines:
-        if not line.strip():
+        if not line.strip() or line.lstrip().startswith("#"):
             continue
         found = [(key, (one or several).replace(",", " ").split()) for key, one, several in re.findall(PAIR, line)]
         rest = re.sub(PAIR, "", line)
         if stamp := re.match(rf"\s*(?:\[({NUMBER})\]|({NUMBER}):)", rest):
             found, rest = [("t", [stamp[1] or stamp[2]]), *found], rest[stamp.end() :]
         each = [f"{k}_{j}" if len(v) > 1 else k for k, v in found for j in range(1, len(v) + 1)]
-        names = names or ",".join(each)
-        if len(each) < 2 or ",".join(each) != names or re.search(r"[\d=]", rest):
-            return []
-        rows.append((number, ",".join(v for _, values in found for v in values)))
+        told = "" if len(each) < 2 or re.search(r"[\d=]", rest) else ",".join(each)
+        if told != names or not told:
+            if len(rows) > 1 or number > LEADING:
+                return []
+            rows, names = [], told  # a title above it
+        rows += [(number, ",".join(v for _, values in found for v in values))] * bool(told)
     return [(1, names), *rows] if rows else []
 
 
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-PAIR = rf"(?<!\w)([A-Za-z_]\w*)\s*[:=]\s*(?:({NUMBER})(?![\w.])|[\[(]\s*({NUMBER}(?:[\s,]+{NUMBER})*)\s*[\])])"
+SEVERAL = rf"{NUMBER}(?: +{NUMBER})*", rf"[\[(]\s*({NUMBER}(?:[\s,]+{NUMBER})*)\s*[\])]"
+PAIR = rf"(?<!\w)([A-Za-z_]\w*)\s*[:=]\s*(?:({SEVERAL[0]})(?![\w.])|{SEVERAL[1]})"
 
 
 def _blocks(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
@@ -198,12 +203,6 @@ def _stamped(fields: dict[str, str]) -> dict[str, str]:
         else:
             out[stamp if part in ("secs", "sec") else name] = value
     return out
-
-
-def file_and_word(path: Path) -> tuple[Path, str]:
-    """The file of FILE:WORD, and the word that its rows hold; empty: all rows."""
-    name, colon, word = str(path).rstrip(":").rpartition(":")
-    return (Path(name), word) if colon and not path.exists() and Path(name).is_file() else (path, "")
 
 
 def parts_of(path: Path) -> list[Path]:

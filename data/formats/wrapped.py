@@ -25,6 +25,12 @@ ECHOED = tomllib.loads(Path(__file__).with_name("echoed.toml").read_text(encodin
 """Names of the columns that `ros2 topic echo --csv` prints, by type of message; NAME*9 are nine of them."""
 
 
+def file_and_word(path: Path) -> tuple[Path, str]:
+    """The file of FILE:WORD, and the word that its rows hold; empty: all rows."""
+    name, colon, word = str(path).rstrip(":").rpartition(":")
+    return (Path(name), word) if colon and not path.exists() and Path(name).is_file() else (path, "")
+
+
 def unwrapped(path: Path, content: bytes, word: str) -> tuple[bytes, str]:
     """Contents of a file as text, and the word that its rows hold, empty where it named the sheet. DataError for what
     cannot be read, or needs a package that is not installed.
@@ -40,15 +46,16 @@ def unwrapped(path: Path, content: bytes, word: str) -> tuple[bytes, str]:
         table = package(path, "pandas", "pyarrow").read_parquet(io.BytesIO(content)).reset_index()
         return table.to_csv(index=False).encode(), word
     if b"<gpx" in content[:2000]:
-        return _csv(("t", "lat", "lon", "alt"), _of_gpx(content.decode("utf-8-sig", "replace"))), word
+        return csv_of(("t", "lat", "lon", "alt"), _of_gpx(content.decode("utf-8-sig", "replace"))), word
     if re.search(rb"(^|[\s,;])\$G[A-Z](GGA|RMC),", content[:20000]):
-        return _csv(("t", "lat", "lon", "alt"), _of_nmea(content.decode("latin-1"))), word
+        return csv_of(("t", "lat", "lon", "alt"), _of_nmea(content.decode("latin-1"))), word
     if other := next((what for start, what in OTHERS.items() if content.startswith(start)), ""):
         raise DataError.at(path, f"{other}, not a text file; save its rows as CSV")
     return content, word
 
 
-def _csv(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> bytes:
+def csv_of(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> bytes:
+    """Rows below names, as text."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([names, *rows])
     return text.getvalue().encode()
@@ -82,7 +89,7 @@ def _of_archive(path: Path, content: bytes, word: str) -> tuple[bytes, str]:
     said = f"sheet {sheets[0].title} of {len(book.worksheets)} (FILE:SHEET names another)\n" * several
     rows = ([v.isoformat() if hasattr(v, "isoformat") else v for v in r] for r in sheets[0].iter_rows(values_only=True))
     table = [r for r in rows if any(v is not None for v in r)]
-    return said.encode() + _csv(table[0] if table else (), table[1:]), "" if sheets[0].title == word else word
+    return said.encode() + csv_of(table[0] if table else (), table[1:]), "" if sheets[0].title == word else word
 
 
 def _of_gpx(text: str) -> list[tuple[str, str, str, str]]:

@@ -7,13 +7,16 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
+from data.columns.header import HEADER
 from data.columns.named import LENGTH
 from data.dates import ISO
 from data.earth import east_north_up
 from data.errors import DataError, UsageError, did_you_mean
+from data.formats.open_log import load_folder
 from data.formats.results import path as paths
 from data.formats.results.bags import file_and_topic, is_bag
 from data.formats.results.path import ROWS, STATED, Clock, GivenPath, Manner, restamped
@@ -46,7 +49,7 @@ class Result:
     name: str
     paths: dict[str, GivenPath]
     companions: Companions
-    offset: float | str = 0.0
+    offset: float | str | None = None
 
 
 def named_results(asked: Sequence[str]) -> dict[str, str]:
@@ -122,13 +125,13 @@ def _columns_of(name: str, names: Sequence[str], reading: Scoring) -> dict[str, 
 KEYS = ("t", "x", "y", "z", "lat", "lon", "alt", "theta", "roll", "pitch", "qx", "qy", "qz", "qw")
 
 
-def offset_of(name: str, names: Sequence[str], reading: Matching) -> float | str:
-    """Seconds to add to the stamps of a result, or `AUTO`; UsageError for anything else."""
+def offset_of(name: str, names: Sequence[str], reading: Matching) -> float | str | None:
+    """Seconds to add to the stamps of a result, or `AUTO`; None: not stated; UsageError for anything else."""
     if _of(OFFSET, [v for v in reading.time_offset if v.startswith(f"{TRUTH}=")], TRUTH, (), alone=True) is not None:
         raise UsageError(f"{OFFSET} {TRUTH}=...: the truth's clock counts; move the result by the negative")
     value = _of(OFFSET, reading.time_offset, name, names)
     if value is None or value == AUTO:
-        return value or 0.0
+        return value
     try:
         seconds = float(value)
     except ValueError:
@@ -165,7 +168,14 @@ def _known(flag: str, value: str, known: Sequence[str]) -> str:
 
 
 def true_path(file: str, names: Sequence[str], reading: Matching, *, rows: bool = False) -> GivenPath:
-    """The true path in a file, whose `rows` hold the estimate, too; its covariance is not used."""
+    """The true path in a file, whose `rows` hold the estimate, too, or in a log folder; its covariance is not used."""
+    if (Path(file) / HEADER).is_file():
+        log = load_folder(file)
+        if log.truth.pose is None:
+            raise DataError.at(file, "has no true poses (truth.csv)")
+        clock = Clock("s", paths.ROWS if log.recorded.time_is_index else STATED)
+        datum, own = tuple(cast("list[float]", log.source.get("datum", ()))), f"log {log.name!r}"
+        return GivenPath(own, "a log folder", log.recorded.time, log.truth.pose, clock=clock, datum=datum)
     return read_path(file, replace(manner_of(TRUTH, names, reading), frame=None, order=None, rows=rows))
 
 
@@ -220,7 +230,7 @@ def _comparable(
     other = truth.path or GivenPath(f"log {log.name!r}", "", truth.time, truth.pose, clock=Clock("s", STATED))
     made: dict[str, GivenPath] = {}
     for phase, path in paths.items():
-        made[phase], other = same_clock(path, other, result.name)
+        made[phase], other = same_clock(path, other, result.name, moved=isinstance(result.offset, float))
     made, moved = _moved(made, other, result.offset)
     if truth.path is None:
         return made, truth, moved
@@ -231,7 +241,7 @@ def _comparable(
 
 
 def _moved(
-    paths: dict[str, GivenPath], truth: GivenPath, offset: float | str
+    paths: dict[str, GivenPath], truth: GivenPath, offset: float | str | None
 ) -> tuple[dict[str, GivenPath], list[Notice]]:
     """Paths with stamps moved by an offset, that of the last phase if it is `AUTO`, and a notice of it."""
     if not offset:

@@ -12,11 +12,11 @@ import pandas as pd
 
 from data.command import stretch
 from data.errors import DataError
-from data.formats.messages import file_and_word
 from data.formats.results.bags import file_and_topic, is_bag
 from data.formats.results.reading import read_path
 from data.formats.results.space import ignored
 from data.formats.results.tables import Companions
+from data.formats.wrapped import file_and_word
 from data.log import Log
 from data.logs import Reading, open_scored, unknown_world
 from data.notice import Code, Notice, Severity, notice

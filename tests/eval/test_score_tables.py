@@ -129,6 +129,13 @@ def test_of_stamps_those_count_that_tell_rows_apart_and_rows_of_both_without_are
     assert (values["rmse_position_m"], values["matched"]) == (pytest.approx(0.1), 60)
 
 
+def test_rows_that_are_moved_by_a_stated_number_are_not_moved_by_an_inferred_one_too(scored):
+    turn = np.cumsum(np.random.default_rng(0).normal(0.0, 0.2, 150))
+    path = np.column_stack([np.cumsum(np.cos(turn)), np.cumsum(np.sin(turn)), turn])
+    texts = (table(dict(zip(("x", "y", "theta"), rows.T, strict=True))) for rows in (path[2:-1], path))
+    assert scored(*texts, flags=["--time-offset", "2"])["rmse_position_m"] == pytest.approx(0.0, abs=1e-6)
+
+
 def message(k, listed):
     x, y, turn = MINE[k]
     covariance = [0.01 * (i % 7 == 0) for i in range(36)]
@@ -162,6 +169,8 @@ def test_paths_of_a_file_of_arrays(tmp_path, capsys, suffix):
     keys = ["estimate.x", "estimate.y", "truth.x", "truth.y"]
     assert score([str(file), "--columns", ",".join(f"{k}={n}" for k, n in zip(keys, names, strict=True))]) == 0
     assert "rmse_position_m 0.1\n" in capsys.readouterr().out
+    np.savez(tmp_path / "path.npz", poses=MINE, time_stamps=T)
+    assert read_path(str(tmp_path / "path.npz")).time == pytest.approx(T)
 
 
 def test_sources_of_rows_are_told_apart_by_a_word(scored, tmp_path):

@@ -12,6 +12,7 @@ import slamref
 from data.formats.open_log import write_folder
 from data.log import Log
 from data.logs import open_log
+from eval.plan.results import PLAIN, true_path
 from eval.report.publish import write_tum
 from tests.builders.unpacked import unpacked
 from tests.eval.player.test_document import chunk_of
@@ -54,6 +55,7 @@ def numbers(out: str) -> dict[str, float]:
 def test_scoring_its_file_gives_the_numbers_of_the_run_and_on_request_the_window_counts(ran, capsys):
     assert NOTICE in ran.said
     assert ran.row.nees_pose < 9.0
+    assert np.array_equal(true_path("log", [], PLAIN).pose, open_log("log").truth.pose, equal_nan=True)
     assert slamref.main(["score", ESTIMATE, "log"]) == 0
     out, err = capsys.readouterr()
     assert {n: numbers(out)[n] for n in NUMBERS} == pytest.approx({n: ran.row[n] for n in NUMBERS}, rel=1e-5)

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import scipy
 
+from data.columns.named import STAMP
 from data.csv_table import cut_off, is_number, symmetric
 from data.errors import LARGEST, DataError, UsageError
 from data.formats.arrays import ELEMENT, columns_of, is_arrays
@@ -157,8 +158,9 @@ def in_rows(text: Text, *, named: bool) -> Text:
         text = replace(text, fields=rows, line=line, cut=COLMAP)
     stems = [n.rpartition("_") for n in text.fields[0]] if is_arrays(text.path) else []
     if not named and len({stem for stem, _, number in stems if number.isdecimal()} - {""}) == 1:
-        full = text.fields[-1]  # without single numbers beside it
-        below = tuple(tuple(f for f, last in zip(row, full, strict=True) if last) for row in text.fields[1:])
+        first = [re.sub("[^a-z]", "", name.lower()) not in STAMP for name in text.fields[0]]  # stamps before poses
+        order = [j for j in np.argsort(first, kind="stable") if text.fields[-1][j]]  # no single numbers beside them
+        below = tuple(tuple(row[j] for j in order) for row in text.fields[1:])
         text = replace(text, fields=below, line=text.line[1:], commas=False)
     rows = text.fields
     for high, above in HEIGHTS if len(rows[-1]) in (4, 12, 13, 16, 17) else ():

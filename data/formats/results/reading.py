@@ -16,12 +16,13 @@ from data.csv_table import ends_early, is_number, symmetric
 from data.dates import EXAMPLE, IN_SECONDS, ISO, is_date, seconds_of, unit_of
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean
-from data.formats.messages import file_and_word, whole_names
+from data.formats.messages import whole_names
 from data.formats.results import lines, path as paths
 from data.formats.results.bags import file_and_topic, is_bag, read_bag
 from data.formats.results.lines import BLOCKS, ENTRIES, ENTRIES_6, EUROC, POSE, TRIANGLE, UNSTAMPED, Text
 from data.formats.results.path import ABSENT, DATES, DIGITS, LOCAL, MIXED, WORLD, GivenPath, Manner, Stated
 from data.formats.results.space import UNIT, full, known_only, require_covariances
+from data.formats.wrapped import file_and_word
 from data.questions.examination import in_degrees
 from data.se2 import Array, wrap_angle
 from data.terminal import counted

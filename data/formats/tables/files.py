@@ -576,7 +576,10 @@ MORE: dict[str, tuple[str, ...]] = {
     "fixes": ("theta", "sx", "source"), "closures": ("sx", "source"),
 }  # fmt: skip
 """Quantities that a file may lack, by role; of sensors as of observations."""
-SPEED = ("v", "vel", "velocity", "speed")  # Words of the speed of a wheel
+SPEED = ("velocity", "vel", "v", "speed", "omega", "w")  # Words of the speed of a wheel, the last two of its turning
+HOLDING = ("data", "message", "msg", "payload")  # Words of objects within an object
+WHEEL = "|".join((*HOLDING, "wheels?", *SPEED, "ticks?|counts?|position|pos|angle|joint|encoders?|enc|phi"))
+WHEELS = {side: re.compile(f"(?!{side[0]}$)(?:{WHEEL})*(?:{side}|{side[0]})(?:{WHEEL})*") for side in ("left", "right")}
 ALSO = {
     "v": ("velocity", "vel", "speed", "linearvelocity", "linearspeed", "linvel", "forwardvelocity", "forwardspeed"),
     "omega": (
@@ -585,10 +588,6 @@ ALSO = {
     "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg", "b", "phi", "azimuth"),
     "dx": ("d", "ds", "deltas", "deltad", "deltax"), "dy": ("deltay",), "dtheta": ("deltatheta", "deltayaw", "dyaw"),
     "steering": ("steer", "steeringangle"), "dt": ("deltat", "deltatime", "timestep"),
-    **{
-        side: tuple(name for word in (*SPEED, "tick", "ticks", "count") for name in (f"{side}{word}", f"{word}{side}"))
-        for side in ("left", "right")
-    },
     "x": ("gpsx", "uwbx", "east", "easting", "relx", "xrel", "localx", "xlocal"),
     "y": ("gpsy", "uwby", "north", "northing", "rely", "yrel", "localy", "ylocal"), "theta": ("orientation",),
     **dict.fromkeys(("label", "id"), ("landmarkid", "beaconid", "markerid", "tagid")),
@@ -653,6 +652,7 @@ def kinds_by_part(path: Path) -> dict[str, Path]:
 
 
 COMMANDED = frozenset(("cmd", "command", "commanded", "control", "input"))  # Beside measured speeds not taken
+BESIDE = COMMANDED | {"gyro", "gyroz", "imu"}  # Not taken beside others
 
 
 THRUN = [re.compile(rf"(d|delta)?{end}") for end in ("rot(ation)?1", "trans(lation)?", "rot(ation)?2")]
@@ -690,7 +690,7 @@ def meaning(name: str) -> tuple[frozenset[str], tuple[str, str], tuple[str, str]
     """The parts that a column's name tells; role and words of the name, and those without the words that tell parts."""
     words, _ = words_of(name)
     parts = frozenset(part for part, of in PARTS.items() if any(w in of or w.rstrip("s") in of for w in words))
-    own = COMMANDED.union(*(PARTS[part] for part in parts))
+    own = COMMANDED.union(HOLDING, *(PARTS[part] for part in parts))
     rest = [w for w in words if w not in own and w.rstrip("s") not in own]
     return parts, (role_of(name)[0], "".join(words)), (role_of("_".join(rest))[0], "".join(rest))
 
@@ -756,11 +756,6 @@ class Columns:
                 return names
         return []
 
-    def of_twist(self, file: TextTable, role: str) -> bool:
-        """Whether the speed of an odometry is the field of a message beside its pose."""
-        column = self.find(file, role, "v")
-        return column is not None and "".join(words_of(file.names[column])[0]).endswith(TWIST["v"])
-
     def take_series(self, file: TextTable, role: str) -> None:
         """Of arrays of several lengths: the stamps of a role are those as long as what it measures, which is noted."""
         usual = ("v", "omega", "theta", "dtheta", "left") if role == "odometry" else ("range", "bearing")
@@ -798,7 +793,7 @@ class Columns:
             return file.find("time" if quantity == "t" and self._headings(file) else quantity)
         read = [c for c in meant if role not in PARTS or not meant[c][0] or role in meant[c][0]]  # of no other part
         also = also or [c for c in whole if c in read] or [c for c in apart if c in read]
-        also = [c for c in also if not COMMANDED & {*words_of(file.names[c])[0]}] or also
+        also = [c for c in also if not BESIDE & {*words_of(file.names[c])[0]}] or also
         also = [c for c in also if quantity != "label" or meant[c][2][1] != "id" or _comes_again(file, c)]
         if not also and quantity in WITHIN:  # of a field within structs; not the number of a struct that has its own
             last = {c: "".join(words_of(name.rpartition(".")[2])[0]) for c, name in enumerate(file.names) if file.named}
@@ -806,6 +801,9 @@ class Columns:
             also = also or [c for c, word in last.items() if word == (ELEMENT if quantity == "frame" else quantity)]
         if quantity == "theta" and not also:  # phi_true beside x_true
             also = [c for c, (of, _, (_, word)) in meant.items() if word in ("phi", "psi") and role in of]
+        if quantity in WHEELS and not also:
+            also = [c for c in read if WHEELS[quantity].fullmatch(meant[c][1][1])]
+            also = [c for c in also if not {*SPEED} & {*re.findall(WHEEL, meant[c][1][1])}] or also  # angles first
         if quantity == "t":  # not the time of recording
             also = [c for c in also if (file.path, role, c) not in self.intervals]
             also = [c for c in also if "header" in file.names[c]] or also

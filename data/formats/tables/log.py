@@ -17,16 +17,17 @@ from data.columns.poses import RELATIVE
 from data.csv_table import Table, is_name, is_number
 from data.digest import file_sha256
 from data.errors import DataError, UsageError, unknown
-from data.formats.messages import file_and_word, parts_of
+from data.formats.messages import parts_of
 from data.formats.open_log import Recording, Samples
 from data.formats.recordings.laser import FLOOR, without_odometry
 from data.formats.results.bags import file_and_topic
 from data.formats.results.path import ABSENT, COARSE, in_order, unturned
 from data.formats.second_odometry import together
 from data.formats.tables.files import QUATERNION, SCANS, SECOND, TextTable, headings, nothing_there
-from data.formats.tables.motion import Odometry, pose_columns, read_odometry, read_second, second_closures
+from data.formats.tables.motion import Odometry, other_rate, pose_columns, read_odometry, read_second, second_closures
 from data.formats.tables.request import LOOKS, OBSERVATIONS, SENSOR, TableSensor, Wanted
 from data.formats.tables.scans import read_scans
+from data.formats.wrapped import file_and_word
 from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations, Prior, Scans
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, gaps_said
@@ -342,6 +343,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     columns, texts, notes = wanted.columns, wanted.texts, wanted.columns.notes
     between = wanted.kind == "steps" and _between(wanted)
     odometry = read_odometry(texts["odometry"], columns, wanted.kind, wanted.wheels, between=between)
+    other_rate(texts["odometry"], columns, odometry, wanted.wheels if wanted.kind == "ticks" else None)
     if wanted.backward and odometry.velocities:
         odometry = odometry.held_backward()
     parts = [read_observations(texts[sensor.role], sensor, wanted, odometry, notes) for sensor in wanted.sensors]

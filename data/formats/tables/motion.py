@@ -6,8 +6,11 @@ A second one becomes closures between successive frames (`--second-odometry FILE
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +21,9 @@ from data.errors import DataError, UsageError
 from data.formats.messages import runs_of
 from data.formats.recordings.laser import TravelNoise, increments_of
 from data.formats.results.path import COARSE, STEPS
+from data.formats.results.reading import words_of
 from data.formats.second_odometry import closures_between, covered, of_twists, own_name
-from data.formats.tables.files import BEYOND, QUATERNION, SECOND, Columns, TextTable, headings
+from data.formats.tables.files import BEYOND, QUATERNION, SECOND, TWIST, Columns, TextTable, factor, headings, meaning
 from data.inputs import Increments
 from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate, told
 from data.pose_measurements import Closures
@@ -27,6 +31,7 @@ from data.se2 import Array
 from data.terminal import counted
 from data.timeline import usual_gap
 
+SAID = tomllib.loads(Path(__file__).with_name("noise.toml").read_text(encoding="utf-8"))
 KINDS = {
     "velocities": ("v", "omega"), "poses": ("x", "y", "theta"), "steps": ("dx", "dy", "dtheta"),
     "ticks": ("left", "right"), "car": ("v", "steering"), "sideways": ("v", "vy", "omega"), "course": ("v", "theta"),
@@ -125,7 +130,9 @@ def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | Non
     stated = [k for k in found if columns.stated(role, KINDS[k])]
     if len(found) > 1 and not stated and columns.taken(file, role, ("x", "y"), truth):
         found.remove("poses")
-    if {"velocities", "poses"} <= {*found} and not stated and columns.of_twist(file, role):
+    found = [k for k in found if k != "ticks" or [k] in (found, stated) or {*KINDS[k]} <= {*file.names, *columns.given}]
+    both, v = {"velocities", "poses"} <= {*found} and not stated, columns.find(file, role, "v")
+    if both and meaning(file.names[v or 0])[1][1].endswith(TWIST["v"]):
         found.remove("velocities")  # of which a message's pose is made
     named = stated or [k for k in found if {*KINDS[k]} <= {*file.names}]
     if len(named or found) == 1:
@@ -139,6 +146,8 @@ def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | Non
         own = "" if role == "odometry" else f"{role}."
         if any(re.search("(?i)acc|^a_?[xy]$", name) for name in file.names):
             what += " (accelerations are not integrated: their errors grow with the square of time; a gyro is omega)"
+        if sum(re.search(FOUR, name) is not None for name in file.names) >= 4:
+            what += f" ({SAID['four-wheels']})"
         sides = ((n, n.replace("left", "right").replace("Left", "Right")) for n in file.names)
         pairs = sorted((pair for pair in sides if pair[0] != pair[1] and pair[1] in file.names), key=_no_wheel)
         as_in = "{0}left={1},{0}right={2}".format(own, *pairs[0]) if pairs else f"{own}v=SPEED,{own}omega=TURN_RATE"
@@ -262,6 +271,21 @@ def read_odometry(
     return Odometry(table, time, stamped, pose, instants)
 
 
+def other_rate(file: TextTable, columns: Columns, odometry: Odometry, wheels: Wheels | None) -> None:
+    """Note a turn rate in the odometry's table that is not read, and is the odometry's but for a factor."""
+    rows, turn, role = np.searchsorted(file.line, odometry.table.line), odometry.motion[:, -1], "odometry"
+    own = turn if odometry.velocities else np.diff(np.unwrap(turn)) / np.diff(odometry.time)
+    free = [n for n in file.names if re.search(TURN_RATE, n) and (file.path, n) not in columns.read]
+    for name in free if (odometry.velocities or wheels) and len(rows) == len(turn) > MANY else ():
+        with suppress(DataError, UsageError):  # no numbers, or of another unit
+            unit, si = factor("angle/time", words_of(name)[1] or "rad/s", name), columns.units.factor(role, "omega")
+            other = unit * file.numbers(file.names.index(name), np.ones(len(file), bool))[rows]
+            (a, b), (_, c) = np.cov(own, other if odometry.velocities else 0.5 * (other[1:] + other[:-1]))
+            if b * b > ALIKE * a * c and abs((k := float(np.sign(b) * np.sqrt(c / a))) - 1.0) > OFF:
+                flag = f"track-width {wheels.track_width / k:.4g}" if wheels else f"unit omega={si * k:.4g}rad/s"
+                columns.notes.append(f"{file.path.name}: {name} {SAID['other-rate'].format(times=k, flag=flag)}")
+
+
 def path_of(texts: Mapping[str, TextTable], columns: Columns, kind: str) -> tuple[Array, Array] | None:
     """Stamps (K,) [s] and poses (K, 3) of a truth, else of an odometry; None without stamps, or of wheels and cars."""
     quiet = columns.quiet
@@ -294,6 +318,9 @@ def _intervals(file: TextTable, columns: Columns, role: str) -> None:
     columns.notes.append(f"{file.path.name}: inferred: --columns {role}.dt={name}, as {name} does not ascend")
 
 
+FOUR = "(?i)(front|rear|back|(^|_)[fbr])_?(left|right|[lr](?![a-z]))"  # In the name of each of four wheels
+TURN_RATE = r"(?i)(gyro|(yaw|turn).?rate|angular.*|omega|(^|[_.])w)_?z?(\W.*)?$"  # Names of columns of turn rates
+ALIKE, OFF = 0.8, 0.05  # Share of the variance that a factor explains, at least, and its least difference from 1
 LEAP, RESET = 5.0, 0.1  # Usual steps, and m, of a leap to the first pose, of an odometry that is set to zero
 MANY, SOME = 20, 0.1  # Fewest rows, and least share of steps back, of a column of times that are no stamps
 

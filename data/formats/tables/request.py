@@ -7,7 +7,6 @@ all (`--view -30deg,30deg`).
 
 import math
 import re
-import tomllib
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,14 +21,14 @@ from data.columns.appearance import Noise
 from data.csv_table import is_name
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import is_arrays
-from data.formats.messages import file_and_word
 from data.formats.recordings.laser import SPEED, TravelNoise
-from data.formats.results.reading import words_of
+from data.formats.results.reading import RATES, words_of
 from data.formats.tables import files as table_files, motion
 from data.formats.tables.files import POSE, ROLES, SCANS, SECOND, STAMPED, STARRED, Columns, Given, TextTable, Units
 from data.formats.tables.layout import by_layout, landmarks_in_rows, named_alike, seen_by_layout
 from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of, path_of
 from data.formats.tables.scans import BEAMS, folded_up, wide_in
+from data.formats.wrapped import file_and_word
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise
 from data.origin import Origin, Origins
 from data.se2 import Array
@@ -58,7 +57,6 @@ NUMBERS = {
 """Flags of numbers: dimensions, what is needed in words, and which numbers may be."""
 LENGTH = "length"  # Key of the unit that `--unit length` states, in the request as settled
 FILE = "file"  # Key of a table [sensor.NAME] of a mapping file, beside those flags
-NEEDED = tomllib.loads(Path(__file__).with_name("noise.toml").read_text(encoding="utf-8"))
 ASSUMED = {"density": "5cm,2deg", "travel": ",".join(map("{:g}".format, TravelNoise()))}
 """Noise of an odometry that nobody states, by model: measured on a robot with wheels in an office."""
 
@@ -429,7 +427,7 @@ def _beside_odometry(p: _Parts, given: Given) -> None:
         if own:
             p.files[role], p.texts[role] = path, table
             p.infer(f"--{role} {path}, of its columns {', '.join(own)}")
-        arrays = role in ("map", "truth") and not own and is_arrays(path)
+        arrays = not own and ((role == "truth" and table.named) or (role == "map" and is_arrays(path)))
         if arrays and (layout := by_layout(table, role, alone=False)) is not None:
             p.files[role], p.texts[role], told = path, *_laid_out(table, role, p.columns, layout)
             p.infer(f"--{role} {path}, {told}")
@@ -454,7 +452,10 @@ def _below_odometry(p: _Parts) -> None:
 
 def _by_layout(p: _Parts) -> list[str]:
     """Take what columns that nobody named tell: an odometry, truth, map; the roles without a stated column."""
-    unnamed = [r for r in p.texts if not {k.rpartition(".")[0] for k in p.named} & {"", r}]
+    of = dict.fromkeys((*STARRED[:2], *table_files.IDS), OBSERVATIONS)  # not of an odometry, a truth or a map
+    of |= {q: "odometry" for kind in KINDS.values() for q in kind if q not in KINDS["poses"]}
+    roles = {k.rpartition(".")[0] or of.get(k, "") for k in p.named}
+    unnamed = [r for r in p.texts if not roles & {"", r, *[OBSERVATIONS] * (r in p.observing)}]
     if "map" in p.texts and not any(k.startswith("map.") or n in p.texts["map"].names for k, n in p.named.items()):
         unnamed.append("map")
     odometry = any(p.columns.quiet.has(p.texts["odometry"], "odometry", KINDS[k]) for k in ("velocities", "poses"))
@@ -575,13 +576,15 @@ def _rates(p: _Parts, given: Given) -> Given:
         return given
     name = p.texts["odometry"].names[p.columns.require(p.texts["odometry"], "odometry", ("left",))[0]]
     words, unit = words_of(name)
-    if not {*words} & {*table_files.SPEED}:
+    told = {*table_files.SPEED} & {*re.findall(table_files.WHEEL, "".join(words))}
+    if not told and "/" not in RATES.get(unit, unit):
         return given
-    where = f"{p.files['odometry']}: {name} without --metres-per-tick, which of rad/s is the wheel's radius"
-    metres = 1.0 if "metres-per-tick" in given else table_files.factor("length/time", unit or "m/s", where)
+    unit = unit or ("rad/s" if told & {*table_files.SPEED[-2:]} else "m/s")
+    if "metres-per-tick" not in given and RATES.get(unit, unit).split("/")[0] in table_files.ANGLE:
+        raise UsageError(f"{p.files['odometry']}: {name} is how fast a wheel turns; {motion.SAID['rates']}, and needed")
+    metres = 1.0 if "metres-per-tick" in given else table_files.factor("length/time", unit, name)
     given = {"metres-per-tick": f"{metres:.9g}", **given, "ticks": "rate"}
-    told = f"as {name} is a speed (in rad/s --metres-per-tick is the wheel's radius)"
-    p.infer(f"--ticks rate --metres-per-tick {given['metres-per-tick']}, {told}")
+    p.infer(f"--ticks rate --metres-per-tick {given['metres-per-tick']}, as {name} is a speed ({motion.SAID['rates']})")
     return given
 
 
@@ -688,7 +691,7 @@ def _wheels(given: Given, kind: str) -> Wheels | None:
     if kind != "ticks":
         return None
     if "track-width" not in given or "metres-per-tick" not in given:
-        raise UsageError("wheel ticks: --track-width M and --metres-per-tick M (or LEFT,RIGHT) are needed")
+        raise UsageError(motion.SAID["ticks"])
     width = float(_numbers(given, "track-width", ("length",), "the distance between the wheels")[0])
     text = given["metres-per-tick"]
     metres = table_files.numbers(
@@ -728,7 +731,7 @@ def _noise(given: Given, kind: str, notes: list[str], of: str = "odometry") -> N
     model = str(given.get(f"{of}-noise", default))
     if model not in known:
         raise UsageError(f"--{of}-noise {model}: for {kind}{did_you_mean(model, known)}: {', '.join(known)}")
-    what = NEEDED[model]
+    what = motion.SAID[model]
     if stated not in given:
         if model not in ASSUMED:
             raise UsageError(f"unknown {of.replace('-', ' ')} noise; --{stated} is needed: {what}")

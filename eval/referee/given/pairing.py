@@ -143,17 +143,17 @@ def _costs(a: Array, known_a: BoolArray, b: Array, known_b: BoolArray, floor: Ar
 FEW, PLENTY = 5, 20  # least number of matched poses for a question about both files; about their clocks and frames
 
 
-def same_clock(a: GivenPath, b: GivenPath, name: str) -> tuple[GivenPath, GivenPath]:
+def same_clock(a: GivenPath, b: GivenPath, name: str, *, moved: bool = False) -> tuple[GivenPath, GivenPath]:
     """Both with stamps in s; a unit inferred by rate gives way where the plain numbers fit the other file better.
 
     Files without stamps, or whose stamps count rows, get those of the other. DataError where the spans of both and
     their steps differ by the same power of a thousand, or where two files, of which one has no stamps, have unequal
-    numbers of poses; `name` is that of `a` in flags.
+    numbers of poses; `name` is that of `a` in flags; `moved`: by how much is stated, from the first rows on.
     """
     for lacking, other in ((a, b), (b, a)):
         if lacking.clock.by != ROWS and not _counts_rows(lacking, other):
             continue
-        k = rows_apart(a, b) if len(a) != len(b) else 0
+        k = rows_apart(a, b) if len(a) != len(b) and not moved else 0
         if k is None:
             what = f"{len(lacking)} poses without stamps, and {len(other)} of {other.file}: which belong together?"
             flag = f"--times {name if lacking is a else 'truth'}=FILE"
@@ -161,7 +161,7 @@ def same_clock(a: GivenPath, b: GivenPath, name: str) -> tuple[GivenPath, GivenP
         at = np.arange(len(lacking)) + (k if lacking is a else -k)
         time = np.interp(at, np.arange(len(other)), other.time)
         time += (at - np.clip(at, 0, len(other) - 1)) * float(np.median(np.diff(other.time)))
-        why = ", as motions fit best so" * (len(a) != len(b))
+        why = ", before --time-offset" if moved else ", as motions fit best so" * (len(a) != len(b))
         said = f"inferred: row {1 + max(0, -k)} of {a.file} is of row {1 + max(0, k)} of {b.file}{why}"
         told = a if lacking.clock.by == ROWS and len(a) == len(b) else replace(a, notes=(*a.notes, said))
         return (restamped(told, time, b.clock), b) if lacking is a else (told, restamped(b, time, a.clock))

@@ -68,7 +68,8 @@ def test_dates_are_stamps(table):
 
 
 @pytest.mark.parametrize(("form", "unit", "column"), [
-    ("13/5/2024 9:59:5{}.5", "dmy", "t"), ("5/13/2024 9:59:5{} PM", "mdy", "t"), ("2024-05-13,9:59:5{}", "iso", "day"),
+    ("13/5/2024 9:59:5{}.5", "dmy", "t"), ("5/13/2024 9:59:5{} PM", "mdy", "t"), ("2024:05:13 9:59:5{}", "iso", "t"),
+    ("2024-05-13,9:59:5{}", "iso", "day"),
     ("1{}.05.2024,9:59:55", "dmy", "time"),
 ])  # fmt: skip
 def test_days_before_or_behind_months_and_times_of_day_apart_are_dates(table, form, unit, column):

@@ -556,6 +556,9 @@ def test_lines_of_keys_are_rows_by_their_order(convert, read):
     log, _ = read({"o.csv": WHEELS, "s.txt": "".join(blocks)}, "--observations", "s.txt", "--columns", "label=id")
     assert log.label.tolist() == [4, 7] * 6
     assert log.recorded.observations.z[::2, 0] == pytest.approx(9.0 - np.arange(6))
+    text = "#made: 1 2\n\tat: [0, 0, 1],\n" + "".join(f"t: {k}.5 pose[2]: {k} true_pose: {k} 0 0\n" for k in range(9))
+    log, _ = read({"o.csv": text.replace("pose[2]: ", "step: 1 ")}, "--columns", "dx=step_1,dtheta=step_2")
+    assert log.truth.pose[:, 0].tolist() == [*range(9)], "several numbers behind a key, below titles"
 
 
 def test_rows_of_any_number_of_observations_are_rows_of_one(read, unread):
@@ -574,3 +577,25 @@ def test_rows_of_any_number_of_observations_are_rows_of_one(read, unread):
     assert "inferred: a row is a stamp and any number of observations of 3 numbers each" in said
     files["s.txt"] = files["s.txt"].replace(rows[5], rows[5] + " 7")
     assert "a row for each is needed" in unread(files, "--observations", "s.txt")
+
+
+@pytest.mark.parametrize("form", ["cells", "its transpose", "lists"])
+def test_cells_by_row_are_lines_of_words_and_numbers(convert, tmp_path, form):
+    rows = [row for k in range(40) for row in (["odom", k, 0.5, 0.1], ["lm", k, 9.0 - 0.1 * k, 0.2])]
+    made = np.array([[np.array(f) for f in row] for row in rows], object)
+    savemat(tmp_path / "a.mat", {"log": made.T if form == "its transpose" else made})
+    file, named = "a.json" if form == "lists" else "a.mat", "odometry.t=2,v=3,omega=4,range=3,bearing=4"
+    log, _ = convert({"a.json": json.dumps(rows)}, "table", file, "out", "--columns", named)
+    assert log.recorded.observations.z[:, 0] == pytest.approx(9.0 - 0.1 * np.arange(40))
+
+
+def test_lists_side_by_side_in_objects_and_what_is_named_alone(convert):
+    seen = [
+        {"t": k, "data": {"ids": [*range(k % 4)], "r": [5.0] * (k % 4), "b": [0.1 * k] * (k % 4)}} for k in range(40)
+    ]
+    text = json.dumps({"odom": [[0.1 * k, 0.5, 0.1] for k in range(500)], "obs": seen})
+    log, _ = convert({"a.json": text}, "table", "a.json", "out", "--columns", "range=data.r,bearing=data.b")
+    assert (log.label[:4].tolist(), log.recorded.observations.z[:4, 1]) == (
+        [0, 0, 1, 0],
+        pytest.approx([0.1, 0.2, 0.2, 0.3]),
+    )

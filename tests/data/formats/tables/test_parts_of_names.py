@@ -4,6 +4,7 @@ import gzip
 import io
 import json
 import pickle
+import re
 import sys
 import zipfile
 
@@ -92,6 +93,19 @@ def test_speeds_of_wheels_need_their_distance_alone(made, refused, tmp_path):
     assert drives(made({"robot.csv": text}, *words)[0])
     (tmp_path / "turns.csv").write_text(text.replace("cm/s", "rad/s"))
     assert "wheel's radius" in refused(main, ["table", str(tmp_path / "turns.csv"), "out2", *words])
+
+
+@pytest.mark.parametrize("names", ["wheel_left_pos,wheel_right_pos", "message.encoders.left,wr", "v,w,enc_l,enc_r"])
+def test_angles_of_wheels_and_a_gyro_that_turns_by_another_factor(made, names):
+    wheels, omega = ("--track-width", "0.4", "--metres-per-tick", "0.1", "--ticks", "total"), OMEGA * np.sin(0.2 * TIME)
+    heading = STEP * np.append(0.0, np.cumsum(omega)[:-1])
+    ways = [10.0 * (V * TIME + a * 0.2 * heading) for a in (-1, 1)]
+    ways = [np.full(COUNT, V), omega, *ways] if names[0] == "v" else ways
+    text = csv(f"t,{names},gyro_z (deg/s),gps_x,gps_y", zip(TIME, *ways, np.rad2deg(1.35 * omega), FIXES, strict=True))
+    log, said = made({"robot.csv": text}, *wheels[: 6 * (names[0] != "v")], "--prior", "0,0,0")
+    assert log.recorded.increments.mean[1:, 2].sum() == pytest.approx(np.interp(log.recorded.time[-1], TIME, heading))
+    times, flag = re.search(r"gyro_z .* is ([\d.]+) times .* right\? (--\S+)", said).groups()
+    assert (float(times), flag) == (pytest.approx(1.35, rel=0.03), "--unit" if names[0] == "v" else "--track-width")
 
 
 def test_landmarks_named_by_words_and_the_start_that_takes_them_to_the_map(made):
