@@ -35,12 +35,14 @@ def scored(tmp_path, capsys, refused):
         for file, text in zip(files, texts, strict=True):
             file.write_text(text + "\n")
         given = [*map(str, files), *flags]
-        if wrong:
-            return refused(score, given)
+        return refused(score, given) if wrong else of(given)
+
+    def of(given):
         assert score(given) == 0
         lines = (line.split() for line in capsys.readouterr().out.splitlines())
         return {line[0]: float(line[1]) for line in lines if len(line) == 2}
 
+    run.of = of
     return run
 
 
@@ -170,6 +172,33 @@ def test_sources_of_rows_are_told_apart_by_a_word(scored, tmp_path):
     text = "\n".join(["time,source,x [mm],y [mm]", *rows])
     assert "rows hold odom (60), gt (60): name those of one kind, as in" in scored(text, text, wrong=True)
     assert score([*[f"{tmp_path}/0.csv:{who}" for who in ("odom", "gt")], "--columns", "x=3,y=y [mm]"]) == 0
+
+
+@pytest.mark.parametrize("form", ["column", "header", "blank", "bare", "places"])
+def test_of_several_runs_in_a_file_one_is_named(scored, tmp_path, form):
+    first, again = ({"run": 0 * T + k, **WHOLE, "x": MINE[:, 0] + 0.5 * k} for k in (4, 5))
+    keys = {"column": ["run", *WHOLE], "header": list(WHOLE), "places": "xy"}.get(form, list(WHOLE))
+    texts = [table({key: of[key] for key in keys}, form in ("column", "header")) for of in (first, again)]
+    texts[1] = texts[1].partition("\n")[2] if form == "column" else texts[1]
+    between = "\n\n\n" if form in ("blank", "places") else "\n"
+    truth = table({key: (WHOLE | {"x": TRUE[:, 0]})[key] for key in keys if key != "run"}, form != "places")
+    assert "2 runs begin, in lines" in scored(between.join(texts), truth, wrong=True)
+    for name, run in (("run=1", 4), ("run=2", 5), *[("run=5", 5)] * (form == "column")):
+        given = [f"{tmp_path}/0.csv:{name}", f"{tmp_path}/1.csv"]
+        assert scored.of(given)["rmse_position_m"] == pytest.approx(0.1 + 0.5 * run)
+
+
+@pytest.mark.parametrize("apart", [5.0, 0.01])
+def test_paths_whose_rows_alternate_are_told_apart(scored, tmp_path, apart):
+    """Those of one place have equal stamps."""
+    rows = [(t, who, x + who * apart, y) for t, (x, y, _) in zip(T, MINE) for who in (0, 1)][
+        : 61 if apart < 1 else None
+    ]
+    text = "\n".join(["t,id,x,y", *(f"{t + 0.01 * who * (apart > 1)},{who},{x},{y}" for t, who, x, y in rows)])
+    assert "rows are of id 0" in scored(text, table(WHOLE), wrong=True)
+    assert scored.of([f"{tmp_path}/0.csv:id=1", f"{tmp_path}/1.csv"])["rmse_position_m"] == pytest.approx(
+        apart, rel=0.1
+    )
 
 
 def test_names_that_repeat_are_of_the_blank_column_before_them(scored):

@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -20,7 +21,7 @@ from data.formats.messages import file_and_word, whole_names
 from data.formats.results import lines, path as paths
 from data.formats.results.bags import file_and_topic, is_bag, read_bag
 from data.formats.results.lines import BLOCKS, ENTRIES, ENTRIES_6, EUROC, POSE, TRIANGLE, UNSTAMPED, Text
-from data.formats.results.path import ABSENT, DATES, DIGITS, LOCAL, MIXED, WORLD, GivenPath, Manner, Stated
+from data.formats.results.path import ABSENT, DATES, DIGITS, LOCAL, MIXED, ROWS, WORLD, GivenPath, Manner, Stated
 from data.formats.results.space import UNIT, full, known_only, require_covariances
 from data.questions.examination import in_degrees
 from data.se2 import Array, wrap_angle
@@ -380,6 +381,7 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
         notes += ("stamps do not ascend, so its rows are compared one by one, without stamps",)
         value["t"], place = np.arange(len(body.fields), dtype=float), {r: j for r, j in place.items() if r != "t"}
         columns = replace(columns, place=place)
+    _require_one(body, text.fields[0] if columns.in_data else (), value)
     flat = "lat" in value and "z" not in value  # angles in space beside latitudes without a height
     if quaternion or "z" in value or (not flat and ("roll" in place or "pitch" in place)):
         found = replace(_spatial(body, columns, value, manner, notes, unit_of_time), datum=datum)
@@ -395,6 +397,29 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     )
     found = replace(found, datum=datum)
     return paths.without_headings(found) if absent else found
+
+
+def _require_one(body: Text, names: Sequence[str], value: dict[str, Array]) -> None:
+    """Raise DataError where a column tells paths apart whose rows alternate: what it holds changes at each of equal
+    stamps of other places, or often, and the path goes far then.
+    """
+    place = np.nan_to_num(value["x"] + 1j * value["y"])
+    step = np.abs(np.diff(place))
+    same = (np.diff(value["t"]) == 0.0) & (step > 0.0)
+    for name, *column in zip(names, *(fields[: len(names)] for fields in body.fields), strict=False):
+        kinds, of = Counter(column), np.array(column)
+        if not 1 < len(kinds) <= min(PATHS, len(of) // PATHS):
+            continue
+        turns, own = of[1:] != of[:-1], np.concatenate([np.abs(np.diff(place[of == kind])) for kind in kinds])
+        far = turns.mean() > OFTEN and np.median(step[turns]) > FAR * np.median(own)
+        if far or (same.any() and turns[same].all()):
+            listed = ", ".join(f"{kind} ({many})" for kind, many in kinds.items())
+            what = f"rows are of {name} {listed}: name one, as in {body.path}:{name}={column[0]}"
+            raise DataError.at(body.path, what)
+
+
+PATHS, OFTEN, FAR = 10, 0.1, 5.0
+"""Most paths in a file, and rows of each; least share of rows that change to another, and ratio of their steps."""
 
 
 def _variances(value: dict[str, Array], columns: Columns) -> tuple[dict[str, Array], str]:
@@ -580,7 +605,8 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
         text = _without_words(text if manner.columns.keys() - {"t"} else lines.in_names(text), manner)
         read = _reader(text, manner)
         found, cov = read(text, manner), read is lines.read_tum
-        found = replace(found, notes=(*found.notes, text.cut)) if text.cut else found
+        runs = lines.runs_in(text.path) if found.clock.by == ROWS else ""
+        found = replace(found, notes=(*found.notes, *filter(None, (text.cut, runs.lstrip("; ")))), runs=runs)
     raw = found.headings
     if raw is not None and in_degrees(np.column_stack([found.pose[:, :2], raw])):
         told = "inferred: headings are in degrees, as which alone they follow the motion (else --unit rad)"
@@ -634,6 +660,7 @@ def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:
     shown += f", {','.join(text.fields[odd])[:40]!r}"
     example = ",".join(f"{'truth.' * manner.true}{q}={n}" for q, n in likely(text.fields).items())
     what = f"{shown}: no known trajectory format; {ACCEPTED} is needed, or columns by number: --columns {example}"
+    what += lines.runs_in(text.path)
     raise DataError.at(text.path, what, line=text.line[odd])
 
 

@@ -157,7 +157,9 @@ def same_clock(a: GivenPath, b: GivenPath, name: str) -> tuple[GivenPath, GivenP
         if k is None:
             what = f"{len(lacking)} poses without stamps, and {len(other)} of {other.file}: which belong together?"
             flag = f"--times {name if lacking is a else 'truth'}=FILE"
-            raise DataError.at(lacking.file, f"{what} As many in both are needed, or {flag}, a stamp [s] a line")
+            raise DataError.at(
+                lacking.file, f"{what} As many in both are needed, or {flag}, a stamp [s] a line{lacking.runs}"
+            )
         at = np.arange(len(lacking)) + (k if lacking is a else -k)
         time = np.interp(at, np.arange(len(other)), other.time)
         time += (at - np.clip(at, 0, len(other) - 1)) * float(np.median(np.diff(other.time)))
