@@ -25,13 +25,19 @@ def read_lines(path: Path) -> tuple[list[tuple[int, str]], str, str]:
         text = content.decode("utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
     except UnicodeDecodeError:
         text = content.decode("latin-1")
+    kind, _, width = word.partition("=")
+    if kind in BINARY and width.isdecimal() and len(content) % (int(width) * BINARY[kind]) == 0:
+        table = np.frombuffer(content, f"<f{BINARY[kind]}").reshape(-1, int(width))
+        return [(k, " ".join(map(repr, row))) for k, row in enumerate(table.tolist(), 1)], word, ""
     if "\0" in text:
-        raise DataError.at(
-            path, "not a text file; a CSV file is needed, or arrays (of plain binary numbers numpy.save makes a .npy)"
-        )
+        what = f"of rows of K doubles type {file}:doubles=K, of floats {file}:floats=K"
+        raise DataError.at(path, f"not a text file of {len(content)} bytes; a CSV file is needed, or arrays; {what}")
     rows = numbered_rows(text)
     lines, said = _of_motive(rows) if text.startswith("Format Version") else _tidied(rows)
     return with_word(lines, word), word, said
+
+
+BINARY = {"doubles": 8, "floats": 4}  # Bytes of numbers of binary rows
 
 
 def _tidied(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], str]:

@@ -201,6 +201,14 @@ def test_paths_whose_rows_alternate_are_told_apart(scored, tmp_path, apart):
     )
 
 
+def test_rows_of_binary_numbers_are_read_by_their_number(scored, tmp_path):
+    assert "of rows of K doubles type" in scored(table(WHOLE), "\0", wrong=True)
+    for name, kind in (("doubles", "<f8"), ("floats", "<f4")):
+        np.column_stack([T, *MINE.T]).astype(kind).tofile(tmp_path / "0.bin")
+        values = scored.of([f"{tmp_path}/0.bin:{name}=4", f"{tmp_path}/0.csv"])
+        assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-6)
+
+
 def test_names_that_repeat_are_of_the_blank_column_before_them(scored):
     head = "header,stamp,secs,nsecs,pose,position,x,y,z,orientation,x,y,z,w,covariance,twist,linear,x,y,z"
     at = zip(T.tolist(), MINE.tolist(), strict=True)
