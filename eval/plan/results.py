@@ -46,7 +46,7 @@ class Result:
     name: str
     paths: dict[str, GivenPath]
     companions: Companions
-    offset: float | str = 0.0
+    offset: float | str | None = None
 
 
 def named_results(asked: Sequence[str]) -> dict[str, str]:
@@ -122,13 +122,13 @@ def _columns_of(name: str, names: Sequence[str], reading: Scoring) -> dict[str, 
 KEYS = ("t", "x", "y", "z", "lat", "lon", "alt", "theta", "roll", "pitch", "qx", "qy", "qz", "qw")
 
 
-def offset_of(name: str, names: Sequence[str], reading: Matching) -> float | str:
-    """Seconds to add to the stamps of a result, or `AUTO`; UsageError for anything else."""
+def offset_of(name: str, names: Sequence[str], reading: Matching) -> float | str | None:
+    """Seconds to add to the stamps of a result, `AUTO`, or None: not stated; UsageError for anything else."""
     if _of(OFFSET, [v for v in reading.time_offset if v.startswith(f"{TRUTH}=")], TRUTH, (), alone=True) is not None:
         raise UsageError(f"{OFFSET} {TRUTH}=...: the truth's clock counts; move the result by the negative")
     value = _of(OFFSET, reading.time_offset, name, names)
     if value is None or value == AUTO:
-        return value or 0.0
+        return value
     try:
         seconds = float(value)
     except ValueError:
@@ -220,7 +220,7 @@ def _comparable(
     other = truth.path or GivenPath(f"log {log.name!r}", "", truth.time, truth.pose, clock=Clock("s", STATED))
     made: dict[str, GivenPath] = {}
     for phase, path in paths.items():
-        made[phase], other = same_clock(path, other, result.name)
+        made[phase], other = same_clock(path, other, result.name, together=result.offset is not None)
     made, moved = _moved(made, other, result.offset)
     if truth.path is None:
         return made, truth, moved
@@ -231,7 +231,7 @@ def _comparable(
 
 
 def _moved(
-    paths: dict[str, GivenPath], truth: GivenPath, offset: float | str
+    paths: dict[str, GivenPath], truth: GivenPath, offset: float | str | None
 ) -> tuple[dict[str, GivenPath], list[Notice]]:
     """Paths with stamps moved by an offset, that of the last phase if it is `AUTO`, and a notice of it."""
     if not offset:

@@ -143,28 +143,31 @@ def _costs(a: Array, known_a: BoolArray, b: Array, known_b: BoolArray, floor: Ar
 FEW, PLENTY = 5, 20  # least number of matched poses for a question about both files; about their clocks and frames
 
 
-def same_clock(a: GivenPath, b: GivenPath, name: str) -> tuple[GivenPath, GivenPath]:
+def same_clock(a: GivenPath, b: GivenPath, name: str, *, together: bool = False) -> tuple[GivenPath, GivenPath]:
     """Both with stamps in s; a unit inferred by rate gives way where the plain numbers fit the other file better.
 
-    Files without stamps, or whose stamps count rows, get those of the other. DataError where the spans of both and
+    Files without stamps, or whose stamps count rows, get those of the other; both begin `together`, or where motions
+    fit. DataError where the spans of both and
     their steps differ by the same power of a thousand, or where two files, of which one has no stamps, have unequal
     numbers of poses; `name` is that of `a` in flags.
     """
     for lacking, other in ((a, b), (b, a)):
         if lacking.clock.by != ROWS and not _counts_rows(lacking, other):
             continue
-        k = rows_apart(a, b) if len(a) != len(b) else 0
-        if k is None:
+        begun = rows_apart(a, b) if len(a) != len(b) and not together else (0, 1.0)
+        if begun is None:
             what = f"{len(lacking)} poses without stamps, and {len(other)} of {other.file}: which belong together?"
-            flag = f"--times {name if lacking is a else 'truth'}=FILE"
-            raise DataError.at(
-                lacking.file, f"{what} As many in both are needed, or {flag}, a stamp [s] a line{lacking.runs}"
-            )
-        at = np.arange(len(lacking)) + (k if lacking is a else -k)
+            flag = f"--times {name if lacking is a else 'truth'}=FILE, a stamp [s] a line"
+            where = f"--time-offset {name}=0 where both begin together"
+            raise DataError.at(lacking.file, f"{what} As many in both are needed, or {flag}, or {where}{lacking.runs}")
+        (k, each), (short, long) = begun, (a, b) if len(a) <= len(b) else (b, a)
+        i = np.arange(len(lacking))
+        at = k + each * i if lacking is short else (i - k) / each
         time = np.interp(at, np.arange(len(other)), other.time)
         time += (at - np.clip(at, 0, len(other) - 1)) * float(np.median(np.diff(other.time)))
-        why = ", as motions fit best so" * (len(a) != len(b))
-        said = f"inferred: row {1 + max(0, -k)} of {a.file} is of row {1 + max(0, k)} of {b.file}{why}"
+        why = f", and of each later one {each:.6g} rows on" * (each != 1.0)
+        why += ", as motions fit best so" * (len(a) != len(b) and not together)
+        said = f"inferred: row {1 + max(0, -k)} of {short.file} is of row {1 + max(0, k)} of {long.file}{why}"
         told = a if lacking.clock.by == ROWS and len(a) == len(b) else replace(a, notes=(*a.notes, said))
         return (restamped(told, time, b.clock), b) if lacking is a else (told, restamped(b, time, a.clock))
     a, b = _plain_if_better(a, b), _plain_if_better(b, a)
@@ -185,26 +188,56 @@ def same_clock(a: GivenPath, b: GivenPath, name: str) -> tuple[GivenPath, GivenP
 
 
 SHIFTS, MANY, KEPT, CLEARLY = 2, 100, 0.9, 0.5  # most rows apart; fewest poses; share compared; ratio to other errors
+TRIALS, CHORDS, PARTS, LOCAL = 2e7, 32, 8, 0.3
+"""Where many rows are lacking: most of all rows times those; number of motions, and of parts in none of which others
+fit better; least ratio of errors there."""
 
 
-def rows_apart(a: GivenPath, b: GivenPath, at: int = 0) -> int | None:
-    """By how many rows motions of `a` are earlier in it than in `b`, where one number fits clearly best; None: none."""
-    more, steps, off = len(b) - len(a), list[Array](), dict[int, float]()
-    flat = any(f.space is None or not np.isfinite(f.space.rotation).all() for f in (a, b))
-    if min(len(a), len(b)) < MANY or abs(more) > FEW:
+def rows_apart(a: GivenPath, b: GivenPath, at: int = 0) -> tuple[int, float] | None:
+    """At which row of the longer path (else of `b`) the other begins, and how many rows of it each of its rows is,
+    where motions fit clearly best; None: nowhere.
+    """
+    a, b = sorted((a, b), key=len)
+    n, more, off = len(a), len(b) - len(a), dict[tuple[int, float], Array]()
+    few, every, solid = more <= FEW, (len(b) - 1) / max(n - 1, 1), a.space is not None and b.space is not None
+    if n < (MANY if few else MANY // 2) or len(b) * more > TRIALS:
         return None
-    for f in (a, b):
-        place, turned = f.pose[:, :2], wrap_angle(np.diff(f.pose[:, 2]))
-        if f.space is not None and not flat:
-            place, turned = f.space.position, se3.angle_between(f.space.rotation[:-1], f.space.rotation[1:])
-        each = np.abs([np.linalg.norm(np.diff(place, axis=0), axis=1), turned])
-        steps.append(each / np.maximum(np.sort(each)[:, : int(KEPT * len(f))].mean(axis=1, keepdims=True), TINY))
-    for k in range(min(0, more) + at - SHIFTS, max(0, more) + at + SHIFTS + 1):
-        i = np.arange(max(0, -k), min(len(a), len(b) - k) - 1)
-        each = np.sort(np.abs(steps[0][:, i] - steps[1][:, i + k]))[:, : int(KEPT * len(i))].mean(axis=1)
-        off[k] = float(np.prod(each[np.isfinite(each)]))
-    best, second, *_ = sorted(off, key=lambda k: off[k])
-    return best if off[best] < CLEARLY * off[second] else None
+    turned = all(np.isfinite(f.space.rotation if f.space and solid else f.pose[:, 2]).all() for f in (a, b))
+    grids = [(float(s), np.arange(r, len(b), s)) for s in range(1, int(every) + 1) for r in range(s)]
+    if (len(b) - 1) % (n - 1) >= int(every) and not few:  # over the same time at another rate
+        grids.append((every, np.rint(every * np.arange(n)).astype(int)))
+    half = 1 if few else 1 + n // CHORDS
+    own = _motions(a, solid, turned, np.arange(n), half)
+    for s, rows in grids:
+        theirs, beyond = _motions(b, solid, turned, rows, half), SHIFTS * (s == 1.0)
+        for k in range(at - beyond, len(rows) - n + at + beyond + 1):
+            i = np.arange(max(0, -k), min(n, len(rows) - k) - 2 * half)
+            apart = np.abs(own[:, i] / _most(own[:, i]) - theirs[:, i + k] / _most(theirs[:, i + k]))
+            each = [_most(part).prod() for part in (apart, *np.array_split(apart, PARTS, axis=1))]
+            off[int(rows[0] + s * k), s] = np.array(each)
+    best, *others = sorted(off, key=lambda way: off[way][0])
+    far = [way for way in others if few or way[1] != best[1] or abs(way[0] - best[0]) > SHIFTS * best[1]]
+    clear = all(off[best][0] < CLEARLY * off[way][0] for way in far)
+    return best if clear and (few or all((off[best][1:] * LOCAL < off[way][1:]).all() for way in others)) else None
+
+
+def _motions(f: GivenPath, solid: bool, turned: bool, rows: IntArray, half: int) -> Array:
+    """Lengths and turns (2, n - 2 half) of a path from rows (n,) to those two halves later, in space if `solid`; of the
+    body if `turned`, else how the way bends.
+    """
+    place, R = f.pose[rows, :2], se2.worlds_from_bodies(f.pose[rows, 2])
+    if f.space is not None and solid:
+        place, R = f.space.position[rows], f.space.rotation[rows]
+    way = place[half:] - place[:-half]
+    ahead = way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), TINY)
+    bend = np.arccos(np.clip(np.sum(ahead[half:] * ahead[:-half], axis=1), -1.0, 1.0))
+    turn = se3.angle_between(R[: -2 * half], R[2 * half :]) if turned else bend
+    return np.array([np.linalg.norm(way[half:] + way[:-half], axis=1), turn])
+
+
+def _most(each: Array) -> Array:
+    """Means (k, 1) of all but the largest of values (k, n)."""
+    return np.asarray(np.sort(each)[:, : int(KEPT * (1 + each.shape[1]))].mean(axis=1, keepdims=True) + TINY)
 
 
 def _span(path: GivenPath) -> tuple[float, float]:
@@ -330,8 +363,8 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
     yield from _order(pair, known)
     if t is not None and not pair.in_rows and t.clock.by == ours.clock.by == ROWS and len(t) == len(ours):
         at = round(float(ours.time[0] - t.time[0]))
-        if (k := rows_apart(ours, t, at)) not in (None, at):
-            yield notice(Code.PATH_SHIFT, file=ours.file, other=t.file, flags=(f"--time-offset NAME={k}",))
+        if (begun := rows_apart(ours, t, at)) and begun[0] != at:
+            yield notice(Code.PATH_SHIFT, file=ours.file, other=t.file, flags=(f"--time-offset NAME={begun[0]}",))
     files = [about_file(f) for f in (pair.estimate, pair.truth) if f is not None]
     alone = [question for asked in files for question in asked]  # which explain what both say together
     found = [*_otherwise(pair, known, placed)] if placed.sum() >= FEW and not alone else []
