@@ -201,6 +201,17 @@ def test_paths_whose_rows_alternate_are_told_apart(scored, tmp_path, apart):
     )
 
 
+def test_quaternions_by_name_are_scaled_and_numbers_of_rows_are_no_stamps(scored):
+    length = 0.05 + T % 1.0
+    q = {"qx": 0 * T, "qy": 0 * T, "qz": length * np.sin(0.5 * TURN), "qw": length * np.cos(0.5 * TURN)}
+    truth = table(WHOLE | {"t": 1000.0 + T, "x": TRUE[:, 0], "theta": TURN})
+    text = table({"t": np.arange(60.0), "x": MINE[:, 0], "y": MINE[:, 1], **q})
+    assert scored(text, truth)["rmse_heading_deg"] == pytest.approx(0.0, abs=1e-6)
+    kinds = "\n".join(f"{kind} {row}" for row in table(WHOLE, False, " ").splitlines() for kind in "LR")
+    said = scored(kinds, truth, wrong=True)
+    assert "rows hold L (60), R (60): name those of one kind" in said
+
+
 def test_rows_of_binary_numbers_are_read_by_their_number(scored, tmp_path):
     assert "of rows of K doubles type" in scored(table(WHOLE), "\0", wrong=True)
     for name, kind in (("doubles", "<f8"), ("floats", "<f4")):

@@ -17,7 +17,7 @@ from data.csv_table import ends_early, is_number, symmetric
 from data.dates import EXAMPLE, IN_SECONDS, ISO, is_date, seconds_of, unit_of
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean
-from data.formats.messages import file_and_word, whole_names
+from data.formats.messages import file_and_word, kinds_of, whole_names
 from data.formats.results import lines, path as paths
 from data.formats.results.bags import file_and_topic, is_bag, read_bag
 from data.formats.results.lines import BLOCKS, ENTRIES, ENTRIES_6, EUROC, POSE, TRIANGLE, UNSTAMPED, Text
@@ -489,6 +489,10 @@ def _spatial(
     zero = np.zeros(len(body.fields))
     if "qw" in value:
         q = np.column_stack([value[name] for name in POSE[4:]])
+        length = np.linalg.norm(q, axis=1)
+        if columns.line and (odd := (np.abs(length - 1.0) > UNIT) & (length > 0.0)).any():
+            q[odd] /= length[odd, None]
+            notes += (f"inferred: {odd.sum()} of {len(q)} quaternions are not of length 1 and scaled",)
     else:
         angles = np.column_stack([value["yaw"], value.get("pitch", zero), value.get("roll", zero)])
         lost = ~np.isfinite(angles).all(axis=1, keepdims=True)
@@ -660,7 +664,7 @@ def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:
     shown += f", {','.join(text.fields[odd])[:40]!r}"
     example = ",".join(f"{'truth.' * manner.true}{q}={n}" for q, n in likely(text.fields).items())
     what = f"{shown}: no known trajectory format; {ACCEPTED} is needed, or columns by number: --columns {example}"
-    what += lines.runs_in(text.path)
+    what += kinds_of(text.path, text.fields) or lines.runs_in(text.path)
     raise DataError.at(text.path, what, line=text.line[odd])
 
 
@@ -742,11 +746,15 @@ def _turned(rows: Array) -> tuple[str, ...]:
 
 def likely(fields: Sequence[Sequence[str]]) -> dict[str, str]:
     """Number of each role that columns may have, as an example of a flag: a stamp where the first one ascends."""
-    rows = [tuple(map(float, row[:4])) for row in fields if len(row) > 2 and all(map(is_number, row[:4]))]
-    k = int(len(rows) > 1 and all(a[0] < b[0] for a, b in pairwise(rows)))
-    degrees = k > 0 and all(abs(row[1]) <= 90.0 and abs(row[2]) <= 180.0 for row in rows)
-    far = degrees and np.ptp([row[1:3] for row in rows], axis=0).max() < FEW * max(abs(row[2]) for row in rows)
-    return {"t": "1"} | ({"lat": "2", "lon": "3"} if far else {"x": "2", "y": "3"}) if k else {"x": "1", "y": "2"}
+    first = next((k for k, field in enumerate(fields[0]) if is_number(field)), 0)  # behind the name of a kind
+    rows = [tuple(map(float, row)) for row in (f[first : first + 4] for f in fields) if all(map(is_number, row))]
+    rows = [row for row in rows if len(row) == len(fields[0][first : first + 4]) > 1]
+    roles = ("x", "y", "z")[: 3 if rows and len(rows[0]) == 3 and np.ptp(rows, axis=0)[2] > 2.0 * np.pi else 2]
+    if len(rows) > 1 and all(a[0] < b[0] for a, b in pairwise(rows)) and len(rows[0]) > 2:
+        degrees = all(abs(row[1]) <= 90.0 and abs(row[2]) <= 180.0 for row in rows)
+        far = degrees and np.ptp([row[1:3] for row in rows], axis=0).max() < FEW * max(abs(row[2]) for row in rows)
+        roles = ("t", "lat", "lon") if far else ("t", "x", "y")
+    return {role: str(first + k) for k, role in enumerate(roles, 1)}
 
 
 def holds_both(name: str) -> bool:

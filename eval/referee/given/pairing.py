@@ -155,6 +155,8 @@ def same_clock(a: GivenPath, b: GivenPath, name: str, *, together: bool = False)
         if lacking.clock.by != ROWS and not _counts_rows(lacking, other):
             continue
         begun = rows_apart(a, b) if len(a) != len(b) and not together else (0, 1.0)
+        if begun is None and lacking.clock.by != ROWS:
+            continue
         if begun is None:
             what = f"{len(lacking)} poses without stamps, and {len(other)} of {other.file}: which belong together?"
             flag = f"--times {name if lacking is a else 'truth'}=FILE, a stamp [s] a line"
@@ -255,8 +257,8 @@ def _plain_if_better(path: GivenPath, other: GivenPath) -> GivenPath:
 
 
 def _counts_rows(path: GivenPath, other: GivenPath) -> bool:
-    """Whether stamps count rows, as many as those of the other, whose stamps are elsewhere."""
-    counts = path.clock.by == paths.ASSUMED and len(path) == len(other) > FEW and (np.diff(path.time) == 1.0).all()
+    """Whether stamps count rows, and those of the other are elsewhere."""
+    counts = path.clock.by == paths.ASSUMED and min(len(path), len(other)) > FEW and (np.diff(path.time) == 1.0).all()
     return bool(counts and not _overlap(path.time, other.time))
 
 
