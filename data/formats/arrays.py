@@ -16,7 +16,7 @@ from data.columns.scans import BROKEN, array_of, open_archive
 from data.csv_table import is_number
 from data.errors import DataError
 from data.formats.matlab import CELLS, is_octave, kind_of, load, octave, variables
-from data.formats.messages import file_and_word
+from data.formats.messages import begins, file_and_word, read_lines
 from data.formats.wrapped import package
 from data.se2 import Array
 
@@ -35,6 +35,14 @@ def is_arrays(path: Path) -> bool:
     path = file_and_word(path)[0]
     one = path.suffix.lower() in YAML and "\n---" not in (read_plain(path) if path.is_file() else "")  # no messages
     return one or path.suffix.lower() in SUFFIXES or is_octave(path)
+
+
+def runs_of(path: Path) -> str:
+    """What to type where the rows of a text are of several runs, one after the other; else nothing."""
+    lines = [] if is_arrays(path) else read_lines(path)[0]
+    begun = [str(lines[k][0]) for k in begins(lines)]
+    said = f"; {len(begun)} runs begin, in lines {', '.join(begun)[:60]}: name one, as in {path}:run=1"
+    return said if len(begun) > 1 else ""
 
 
 def read_plain(path: Path) -> str:

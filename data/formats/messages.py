@@ -315,14 +315,6 @@ def begins(lines: Sequence[tuple[int, str]]) -> list[int]:
     return [at[k] for k in starts] if np.diff([*starts, len(rows)]).min() >= SHORTEST else at[:1]
 
 
-def runs_of(path: Path) -> str:
-    """What to type where the rows of a file are of several runs, one after the other; else nothing."""
-    lines = read_lines(path)[0]
-    begun = [str(lines[k][0]) for k in begins(lines)]
-    said = f"; {len(begun)} runs begin, in lines {', '.join(begun)[:60]}: name one, as in {path}:run=1"
-    return said if len(begun) > 1 else ""
-
-
 SHORTEST = 5  # Rows of a run, more than of a matrix
 
 

@@ -17,8 +17,8 @@ import scipy
 
 from data.csv_table import cut_off, is_number, symmetric
 from data.errors import LARGEST, DataError, UsageError
-from data.formats.arrays import ELEMENT, columns_of, is_arrays
-from data.formats.messages import cut_end, kinds_of, read_lines, runs_of
+from data.formats.arrays import ELEMENT, columns_of, is_arrays, runs_of
+from data.formats.messages import cut_end, kinds_of, read_lines
 from data.formats.results import path as paths
 from data.formats.results.space import UNIT, known_only, on_plane, rotations, translation_first
 from data.se2 import Array
@@ -315,11 +315,6 @@ def read_square(text: Text, manner: paths.Manner) -> paths.GivenPath:
     return path_of(text, f"{version}, {what}", at, rows[:, :8], C, manner, stated=stated)
 
 
-def runs_in(path: Path) -> str:
-    """What to type where rows of a text are of several runs; else nothing."""
-    return "" if is_arrays(path) else runs_of(path)
-
-
 UNSTAMPED = -1  # column of stamps of a file that has none: they are numbers of rows
 
 
@@ -346,7 +341,7 @@ def times_of(
         late, early = (repr(float(v)) if abs(v) <= LARGEST else f"{v:.0f}" for v in (stamps[before], stamps[k]))
         what = f"stamp {early} is before {late} of the line above; ascending stamps are needed"
         raise DataError.at(
-            text.path, what + (kinds_of(text.path, text.fields) or runs_in(text.path)), line=text.line[k]
+            text.path, what + (kinds_of(text.path, text.fields) or runs_of(text.path)), line=text.line[k]
         )
     clock = paths.Clock("s", paths.ROWS) if column == UNSTAMPED else clock
     clock = paths.Clock("s", paths.DATES) if unit == paths.DATES else clock

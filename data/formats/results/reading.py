@@ -17,6 +17,7 @@ from data.csv_table import ends_early, is_number, symmetric
 from data.dates import EXAMPLE, IN_SECONDS, ISO, is_date, seconds_of, unit_of
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean
+from data.formats.arrays import runs_of
 from data.formats.messages import file_and_word, kinds_of, whole_names
 from data.formats.results import lines, path as paths
 from data.formats.results.bags import file_and_topic, is_bag, read_bag
@@ -609,7 +610,7 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
         text = _without_words(text if manner.columns.keys() - {"t"} else lines.in_names(text), manner)
         read = _reader(text, manner)
         found, cov = read(text, manner), read is lines.read_tum
-        runs = lines.runs_in(text.path) if found.clock.by == ROWS else ""
+        runs = runs_of(text.path) if found.clock.by == ROWS else ""
         found = replace(found, notes=(*found.notes, *filter(None, (text.cut, runs.lstrip("; ")))), runs=runs)
     raw = found.headings
     if raw is not None and in_degrees(np.column_stack([found.pose[:, :2], raw])):
@@ -664,7 +665,7 @@ def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:
     shown += f", {','.join(text.fields[odd])[:40]!r}"
     example = ",".join(f"{'truth.' * manner.true}{q}={n}" for q, n in likely(text.fields).items())
     what = f"{shown}: no known trajectory format; {ACCEPTED} is needed, or columns by number: --columns {example}"
-    what += kinds_of(text.path, text.fields) or lines.runs_in(text.path)
+    what += kinds_of(text.path, text.fields) or runs_of(text.path)
     raise DataError.at(text.path, what, line=text.line[odd])
 
 

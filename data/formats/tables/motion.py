@@ -15,8 +15,7 @@ import numpy as np
 from data import se2
 from data.csv_table import Table, is_name
 from data.errors import DataError, UsageError
-from data.formats.arrays import is_arrays
-from data.formats.messages import runs_of
+from data.formats.arrays import runs_of
 from data.formats.recordings.laser import TravelNoise, increments_of
 from data.formats.results.path import COARSE, STEPS
 from data.formats.second_odometry import closures_between, covered, of_twists, own_name
@@ -194,7 +193,7 @@ def read_odometry(
         instants[lost] = columns.stamps(file, role, lost)
     if stamped:
         back = np.diff(time) < 0.0
-        if back.any() and not is_arrays(file.path) and (runs := runs_of(file.path)):
+        if back.any() and (runs := runs_of(file.path)):
             raise DataError.at(file.path, f"stamps begin anew{runs}")
         few = "; leave such rows out" if back.mean() < SOME else f"; a time between rows is --columns {role}.dt=NAME"
         table.require_ascending("t", strictly=False, hint=few)

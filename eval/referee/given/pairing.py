@@ -218,8 +218,11 @@ def rows_apart(a: GivenPath, b: GivenPath, at: int = 0) -> tuple[int, float] | N
             each = [_most(part).prod() for part in (apart, *np.array_split(apart, PARTS, axis=1))]
             off[int(rows[0] + s * k), s] = np.array(each)
     best, *others = sorted(off, key=lambda way: off[way][0])
+    first = (0, best[1])  # of neighbours that fit
     far = [way for way in others if few or way[1] != best[1] or abs(way[0] - best[0]) > SHIFTS * best[1]]
     clear = all(off[best][0] < CLEARLY * off[way][0] for way in far)
+    near = first not in far and first in off and CLEARLY * off[first][0] < off[best][0]
+    best = first if near and not few else best
     return best if clear and (few or all((off[best][1:] * LOCAL < off[way][1:]).all() for way in others)) else None
 
 
