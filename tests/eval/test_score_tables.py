@@ -188,6 +188,13 @@ def test_of_several_runs_in_a_file_one_is_named(scored, tmp_path, form):
         assert scored.of(given)["rmse_position_m"] == pytest.approx(0.1 + 0.5 * run)
 
 
+def test_a_column_t_behind_x_and_y_that_does_not_ascend_is_the_heading(scored):
+    both = [table({"x": pose[:, 0], "y": pose[:, 1], "t": np.sin(TURN)}) for pose in (MINE, TRUE)]
+    assert scored(*both)["rmse_heading_deg"] == pytest.approx(0.0, abs=1e-6)
+    mixed = table(WHOLE).splitlines()
+    assert "sort rows" in scored("\n".join([*mixed[:9], mixed[10], mixed[9], *mixed[11:]]), table(WHOLE), wrong=True)
+
+
 @pytest.mark.parametrize("apart", [5.0, 0.01])
 def test_paths_whose_rows_alternate_are_told_apart(scored, tmp_path, apart):
     """Those of one place have equal stamps."""

@@ -338,6 +338,11 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
             raise DataError.at(text.path, what, line=columns.line or None)
     dated = _in_seconds(body, place["t"]) if "t" in place else body
     value = {"t": np.arange(len(body.fields), dtype=float)} | _values(dated, columns)
+    behind = place.keys() & {"yaw", "qw"} == set() and place.get("t") == place.get("y", 0) + 1  # x, y, t
+    if behind and (np.diff(value["t"]) < 0.0).any() and not manner.columns.keys() & {"t"}:
+        told = f"{'truth.' * manner.true}theta={place['t'] + 1}"
+        others = {role: j for role, j in place.items() if role != "t"} | {"yaw": place["t"]}
+        return read_named(text, manner, replace(columns, place=others, told=told))
     if flat:
         value["yaw"] = 2.0 * np.arctan2(value.pop("qz"), value.pop("qw"))
     absent = not quaternion and "yaw" not in value
