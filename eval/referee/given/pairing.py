@@ -154,10 +154,10 @@ def same_clock(a: GivenPath, b: GivenPath, name: str, *, together: bool = False)
     for lacking, other in ((a, b), (b, a)):
         if lacking.clock.by != ROWS and not _counts_rows(lacking, other):
             continue
-        begun = rows_apart(a, b) if len(a) != len(b) and not together else (0, 1.0)
-        if begun is None and lacking.clock.by != ROWS:
-            continue
+        begun = rows_apart(a, b) if len(a) != len(b) and not together else (0, 1)
         if begun is None:
+            if lacking.clock.by != ROWS:
+                continue
             what = f"{len(lacking)} poses without stamps, and {len(other)} of {other.file}: which belong together?"
             flag = f"--times {name if lacking is a else 'truth'}=FILE, a stamp [s] a line"
             where = f"--time-offset {name}=0 where both begin together"
@@ -167,7 +167,7 @@ def same_clock(a: GivenPath, b: GivenPath, name: str, *, together: bool = False)
         at = k + each * i if lacking is short else (i - k) / each
         time = np.interp(at, np.arange(len(other)), other.time)
         time += (at - np.clip(at, 0, len(other) - 1)) * float(np.median(np.diff(other.time)))
-        why = f", and of each later one {each:.6g} rows on" * (each != 1.0)
+        why = f", and of each later one {each} rows on" * (each > 1)
         why += ", as motions fit best so" * (len(a) != len(b) and not together)
         said = f"inferred: row {1 + max(0, -k)} of {short.file} is of row {1 + max(0, k)} of {long.file}{why}"
         told = a if lacking.clock.by == ROWS and len(a) == len(b) else replace(a, notes=(*a.notes, said))
@@ -195,35 +195,30 @@ TRIALS, CHORDS, PARTS, LOCAL = 2e7, 32, 8, 0.3
 fit better; least ratio of errors there."""
 
 
-def rows_apart(a: GivenPath, b: GivenPath, at: int = 0) -> tuple[int, float] | None:
+def rows_apart(a: GivenPath, b: GivenPath, at: int = 0) -> tuple[int, int] | None:
     """At which row of the longer path (else of `b`) the other begins, and how many rows of it each of its rows is,
-    where motions fit clearly best; None: nowhere.
+    where motions fit clearly best; None: nowhere. Where many rows are lacking, both begin together if that fits, too.
     """
     a, b = sorted((a, b), key=len)
-    n, more, off = len(a), len(b) - len(a), dict[tuple[int, float], Array]()
-    few, every, solid = more <= FEW, (len(b) - 1) / max(n - 1, 1), a.space is not None and b.space is not None
-    if n < (MANY if few else MANY // 2) or len(b) * more > TRIALS:
+    n, off, few = len(a), dict[tuple[int, int], Array](), len(b) - len(a) <= FEW
+    if n < (MANY if few else MANY // 2) or len(b) * (len(b) - n) > TRIALS:
         return None
+    solid, half = a.space is not None and b.space is not None, 1 if few else 1 + n // CHORDS
     turned = all(np.isfinite(f.space.rotation if f.space and solid else f.pose[:, 2]).all() for f in (a, b))
-    grids = [(float(s), np.arange(r, len(b), s)) for s in range(1, int(every) + 1) for r in range(s)]
-    if (len(b) - 1) % (n - 1) >= int(every) and not few:  # over the same time at another rate
-        grids.append((every, np.rint(every * np.arange(n)).astype(int)))
-    half = 1 if few else 1 + n // CHORDS
     own = _motions(a, solid, turned, np.arange(n), half)
-    for s, rows in grids:
-        theirs, beyond = _motions(b, solid, turned, rows, half), SHIFTS * (s == 1.0)
-        for k in range(at - beyond, len(rows) - n + at + beyond + 1):
-            i = np.arange(max(0, -k), min(n, len(rows) - k) - 2 * half)
+    for s, r in ((every, r) for every in range(1, (len(b) - 1) // (n - 1) + 1) for r in range(every)):
+        theirs, beyond = _motions(b, solid, turned, np.arange(r, len(b), s), half), SHIFTS * (s == 1)
+        for k in range(at - beyond, theirs.shape[1] + 2 * half - n + at + beyond + 1):
+            i = np.arange(max(0, -k), min(own.shape[1], theirs.shape[1] - k))
             apart = np.abs(own[:, i] / _most(own[:, i]) - theirs[:, i + k] / _most(theirs[:, i + k]))
             each = [_most(part).prod() for part in (apart, *np.array_split(apart, PARTS, axis=1))]
-            off[int(rows[0] + s * k), s] = np.array(each)
+            off[r + s * k, s] = np.array(each)
     best, *others = sorted(off, key=lambda way: off[way][0])
-    first = (0, best[1])  # of neighbours that fit
-    far = [way for way in others if few or way[1] != best[1] or abs(way[0] - best[0]) > SHIFTS * best[1]]
-    clear = all(off[best][0] < CLEARLY * off[way][0] for way in far)
-    near = first not in far and first in off and CLEARLY * off[first][0] < off[best][0]
-    best = first if near and not few else best
-    return best if clear and (few or all((off[best][1:] * LOCAL < off[way][1:]).all() for way in others)) else None
+    near = [way for way in others if not few and way[1] == best[1] and abs(way[0] - best[0]) <= SHIFTS * best[1]]
+    clear = all(off[best][0] < CLEARLY * off[way][0] for way in others if way not in near)
+    if not clear or (not few and any((off[best][1:] * LOCAL > off[way][1:]).any() for way in others)):
+        return None
+    return next((way for way in near if way[0] == 0 and CLEARLY * off[way][0] < off[best][0]), best)
 
 
 def _motions(f: GivenPath, solid: bool, turned: bool, rows: IntArray, half: int) -> Array:
