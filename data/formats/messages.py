@@ -7,10 +7,12 @@ from collections.abc import Sequence
 from itertools import pairwise, zip_longest
 from pathlib import Path
 
+import numpy as np
+
 from data.columns.named import STAMP
 from data.csv_table import bytes_of, is_number
 from data.errors import DataError
-from data.formats.arrays import records
+from data.formats.arrays import is_arrays, records
 from data.formats.wrapped import echoed_names, file_and_word, unwrapped
 
 
@@ -25,13 +27,28 @@ def read_lines(path: Path) -> tuple[list[tuple[int, str]], str, str]:
         text = content.decode("utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
     except UnicodeDecodeError:
         text = content.decode("latin-1")
+    kind, _, width = word.partition("=")
+    if kind in BINARY and width.isdecimal() and len(content) % (int(width) * BINARY[kind]) == 0:
+        table = np.frombuffer(content, f"<f{BINARY[kind]}").reshape(-1, int(width))
+        return [(k, " ".join(map(repr, row))) for k, row in enumerate(table.tolist(), 1)], word, ""
     if "\0" in text:
-        raise DataError.at(
-            path, "not a text file; a CSV file is needed, or arrays (of plain binary numbers numpy.save makes a .npy)"
-        )
+        file = file_and_word(path)[0]
+        what = f"of rows of K doubles type {file}:doubles=K, of floats {file}:floats=K"
+        raise DataError.at(path, f"not a text file of {len(content)} bytes; a CSV file is needed, or arrays; {what}")
     rows = numbered_rows(text)
     lines, said = _of_motive(rows) if text.startswith("Format Version") else _tidied(rows)
     return with_word(lines, word), word, said
+
+
+def runs_of(path: Path) -> str:
+    """What to type where the rows of a text are of several runs, one after the other; else nothing."""
+    lines = [] if is_arrays(path) else read_lines(path)[0]
+    begun = [str(lines[k][0]) for k in begins(lines)]
+    said = f"; {len(begun)} runs begin, in lines {', '.join(begun)[:60]}: name one, as in {path}:run=1"
+    return said if len(begun) > 1 else ""
+
+
+BINARY = {"doubles": 8, "floats": 4}  # Bytes of numbers of binary rows
 
 
 def _tidied(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], str]:
@@ -231,7 +248,10 @@ def with_word(lines: list[tuple[int, str]], word: str) -> list[tuple[int, str]]:
         return [pair for pair, row in zip(lines, fields, strict=True) if row[int(name) - 1 : int(name)] == [value]]
     if (top := next((k for k, row in enumerate(fields) if name in row), None)) is not None:
         j = fields[top].index(name)
-        return [lines[top], *(pair for pair, row in zip(lines, fields, strict=True) if row[j : j + 1] == [value])]
+        if some := [pair for pair, row in zip(lines, fields, strict=True) if row[j : j + 1] == [value]]:
+            return [lines[top], *some]
+    if name == "run" and value.isdecimal() and 0 < (k := int(value)) <= len(begun := [*begins(lines), len(lines)]) - 1:
+        return [*lines[: begun[0]], *lines[begun[k - 1] : begun[k]]]
     rows = [re.split(r"[\s,;]+", line.strip()) for _, line in lines]
     number = is_number(word) and any(row[0] == word for row in rows)  # of the kind of a row, which stands first
     kept = [pair for pair, row in zip(lines, rows, strict=True) if word in (row[:1] if number else row)]
@@ -285,13 +305,25 @@ def cut_end(rows: Sequence[Sequence[str]], line: int) -> str:
 LEAST = 3  # rows before the last one
 
 
-def runs_of(path: Path, names: Sequence[str], rows: Sequence[Sequence[str]], back: Sequence[bool]) -> str:
-    """What to type where a column of rows tells runs apart: it changes where stamps go `back`, and nowhere else."""
-    for name, column in zip(names, zip(*rows, strict=True), strict=True):
-        if [a != b for a, b in pairwise(column)] == back:
-            runs = f"{sum(back) + 1} runs, whose stamps begin anew, are told apart by column {name}"
-            return f"{runs}; choose one, as in {path}:{name}={column[0]}"
-    return ""
+def begins(lines: Sequence[tuple[int, str]]) -> list[int]:
+    """Where runs begin: at the first row of numbers, and where the first column that else ascends goes back by half of
+    its way; without one where the first row comes again, else below blank lines and comments.
+    """
+    split = [re.split(r"[\s,;]+", line.strip(" \t,;")) for _, line in lines]
+    at = [k for k, row in enumerate(split) if 2 * sum(map(is_number, row)) > len(row)]
+    rows = [split[k] for k in at]
+    again = [k for k in range(1, len(rows)) if rows[k] == rows[0] != rows[k - 1]]
+    gaps = [k for k in range(1, len(at)) if lines[at[k]][0] > lines[at[k - 1]][0] + 1]
+    starts = [0, *(again or gaps)]
+    for column in reversed([*zip(*rows, strict=False)]):
+        v = np.array([float(f) if is_number(f) else np.nan for f in column])
+        back = [0, *(np.flatnonzero(np.diff(v) < 0.0) + 1)]
+        if len(back) > 1 and 2 * np.sum(np.diff(v) > 0.0) > len(v):
+            starts = back if all(v[k] < 0.5 * (v[first] + v[k - 1]) for first, k in pairwise(back)) else starts
+    return [at[k] for k in starts] if np.diff([*starts, len(rows)]).min() >= SHORTEST else at[:1]
+
+
+SHORTEST = 5  # Rows of a run, more than of a matrix
 
 
 def whole_names(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[str, ...]:

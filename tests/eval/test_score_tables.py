@@ -35,12 +35,14 @@ def scored(tmp_path, capsys, refused):
         for file, text in zip(files, texts, strict=True):
             file.write_text(text + "\n")
         given = [*map(str, files), *flags]
-        if wrong:
-            return refused(score, given)
+        return refused(score, given) if wrong else of(given)
+
+    def of(given):
         assert score(given) == 0
         lines = (line.split() for line in capsys.readouterr().out.splitlines())
         return {line[0]: float(line[1]) for line in lines if len(line) == 2}
 
+    run.of = of
     return run
 
 
@@ -181,6 +183,48 @@ def test_sources_of_rows_are_told_apart_by_a_word(scored, tmp_path):
     assert score([*[f"{tmp_path}/0.csv:{who}" for who in ("odom", "gt")], "--columns", "x=3,y=y [mm]"]) == 0
 
 
+@pytest.mark.parametrize("form", ["column", "header", "blank", "bare", "places"])
+def test_of_several_runs_in_a_file_one_is_named(scored, tmp_path, form):
+    first, again = ({"run": 0 * T + k, **WHOLE, "x": MINE[:, 0] + 0.5 * k} for k in (4, 5))
+    keys = {"column": ["run", *WHOLE], "header": list(WHOLE), "places": "xy"}.get(form, list(WHOLE))
+    texts = [table({key: of[key] for key in keys}, form in ("column", "header")) for of in (first, again)]
+    texts[1] = texts[1].partition("\n")[2] if form == "column" else texts[1]
+    between = "\n\n\n" if form in ("blank", "places") else "\n"
+    truth = table({key: (WHOLE | {"x": TRUE[:, 0]})[key] for key in keys if key != "run"}, form != "places")
+    assert "2 runs begin, in lines" in scored(between.join(texts), truth, wrong=True)
+    for name, run in ((1, 4), (2, 5), *[(5, 5)] * (form == "column")):
+        values = scored.of([f"{tmp_path}/0.csv:run={name}", f"{tmp_path}/1.csv"])
+        assert values["rmse_position_m"] == pytest.approx(0.1 + 0.5 * run)
+
+
+def test_a_column_t_behind_x_and_y_that_does_not_ascend_is_the_heading(scored):
+    both = [table({"x": pose[:, 0], "y": pose[:, 1], "t": np.sin(TURN)}) for pose in (MINE, TRUE)]
+    assert scored(*both)["rmse_heading_deg"] == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("apart", [5.0, 0.01])
+def test_paths_whose_rows_alternate_are_told_apart(scored, tmp_path, apart):
+    each = [(t + 0.01 * k * (apart > 1.0), k, x + k * apart, y) for t, (x, y, _) in zip(T, MINE) for k in (0, 1)]
+    rows = [row for j, row in enumerate(each) if apart > 1.0 or j % 4 < 3]
+    assert "rows are of id 0" in scored(table(dict(zip(["t", "id", "x", "y"], zip(*rows)))), table(WHOLE), wrong=True)
+    values = scored.of([f"{tmp_path}/0.csv:id=1", f"{tmp_path}/1.csv"])
+    assert values["rmse_position_m"] == pytest.approx(apart, rel=0.1)
+
+
+def test_quaternions_by_name_are_scaled_and_numbers_of_rows_are_no_stamps(scored):
+    q = {"qz": (0.05 + T) * np.sin(0.5 * TURN), "qw": (0.05 + T) * np.cos(0.5 * TURN), "qx": 0 * T, "qy": 0 * T}
+    text = table({"t": np.arange(60.0), "x": MINE[:, 0], "y": MINE[:, 1], **q})
+    assert scored(text, table(WHOLE | {"t": 1000.0 + T}))["rmse_heading_deg"] == pytest.approx(0.0, abs=1e-6)
+    kinds = "\n".join(f"{kind} {row}" for row in table(WHOLE, False, " ").splitlines() for kind in "LR")
+    assert "rows hold L (60), R (60): name those of one kind" in scored(kinds, text, wrong=True)
+
+
+def test_rows_of_binary_numbers_are_read_by_their_number(scored, tmp_path):
+    assert "of rows of K doubles type" in scored(table(WHOLE), "\0", wrong=True)
+    np.column_stack([T, *MINE.T]).astype("<f4").tofile(tmp_path / "0.bin")
+    assert scored.of([f"{tmp_path}/0.bin:floats=4", f"{tmp_path}/0.csv"])["rmse_position_m"] < 1e-6
+
+
 def test_names_that_repeat_are_of_the_blank_column_before_them(scored):
     head = "header,stamp,secs,nsecs,pose,position,x,y,z,orientation,x,y,z,w,covariance,twist,linear,x,y,z"
     at = zip(T.tolist(), MINE.tolist(), strict=True)
@@ -311,7 +355,13 @@ def test_words_before_poses_are_left_out_and_rows_are_shifted_to_fit(scored):
     assert scored(words, true) == plain
     fewer = words.partition("\n")[2]
     assert scored(fewer, true)["rmse_position_3d_m"] == pytest.approx(plain["rmse_position_3d_m"], rel=0.02)
-    assert "or --times estimate=FILE" in scored(kitti(R[9:], P[9:]), true, wrong=True)
+    assert scored(kitti(R[9:], P[9:]), true)["rmse_position_3d_m"] < 1e-4
+    for kept in (slice(150), slice(0, None, 4), slice(2, 200, 3)):  # a part of the frames, or every n-th
+        values = scored(kitti(R[kept], (P + NOISE)[kept]), true)
+        assert values["rmse_position_3d_m"] == pytest.approx(plain["rmse_position_3d_m"], rel=0.2)
+    lost = np.r_[:80, 120 : len(R)]
+    assert "--time-offset estimate=0 where both begin" in scored(kitti(R[lost], P[lost]), true, wrong=True)
+    assert scored(kitti(R[lost], P[lost]), true, flags=("--time-offset", "0"))["matched"] == len(lost)
 
 
 def octave(name, rows):

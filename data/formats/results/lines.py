@@ -18,7 +18,7 @@ import scipy
 from data.columns.named import STAMP
 from data.csv_table import cut_off, is_number, symmetric
 from data.errors import LARGEST, DataError, UsageError
-from data.formats.arrays import ELEMENT, columns_of, is_arrays
+from data.formats.arrays import ELEMENT, columns_of, is_arrays, runs_of
 from data.formats.messages import cut_end, kinds_of, read_lines
 from data.formats.results import path as paths
 from data.formats.results.space import UNIT, known_only, on_plane, rotations, translation_first
@@ -342,7 +342,8 @@ def times_of(
         k, before = int(known[back[0] + 1]), int(known[back[0]])
         late, early = (repr(float(v)) if abs(v) <= LARGEST else f"{v:.0f}" for v in (stamps[before], stamps[k]))
         what = f"stamp {early} is before {late} of the line above; ascending stamps are needed"
-        raise DataError.at(text.path, what + kinds_of(text.path, text.fields), line=text.line[k])
+        several = kinds_of(text.path, text.fields) or runs_of(text.path) or "; sort rows that are only out of order"
+        raise DataError.at(text.path, what + several, line=text.line[k])
     clock = paths.Clock("s", paths.ROWS) if column == UNSTAMPED else clock
     clock = paths.Clock("s", paths.DATES) if unit == paths.DATES else clock
     if clock is None and manner.stamps is not None:

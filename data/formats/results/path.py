@@ -145,6 +145,7 @@ class GivenPath(Locked):
     transforms: object | None = None  # of other frames, from the same file; None: none
     headings: Array | None = None  # (n,) of a planar file before wrapping, without a stated unit; read as rad
     datum: tuple[float, ...] = ()  # latitude, longitude [deg], height [m] of the origin, of a file of such; else empty
+    runs: str = ""  # what to type where rows without stamps are of several runs
 
     def __len__(self) -> int:
         return len(self.time)

@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -16,11 +17,11 @@ from data.csv_table import ends_early, is_number, symmetric
 from data.dates import EXAMPLE, IN_SECONDS, ISO, is_date, seconds_of, unit_of
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean
-from data.formats.messages import whole_names
+from data.formats.messages import kinds_of, runs_of, whole_names
 from data.formats.results import lines, path as paths
 from data.formats.results.bags import file_and_topic, is_bag, read_bag
 from data.formats.results.lines import BLOCKS, ENTRIES, ENTRIES_6, EUROC, POSE, TRIANGLE, UNSTAMPED, Text
-from data.formats.results.path import ABSENT, DATES, DIGITS, LOCAL, MIXED, WORLD, GivenPath, Manner, Stated
+from data.formats.results.path import ABSENT, DATES, DIGITS, LOCAL, MIXED, ROWS, WORLD, GivenPath, Manner, Stated
 from data.formats.results.space import UNIT, full, known_only, require_covariances
 from data.formats.wrapped import file_and_word
 from data.questions.examination import in_degrees
@@ -337,6 +338,11 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
             raise DataError.at(text.path, what, line=columns.line or None)
     dated = _in_seconds(body, place["t"]) if "t" in place else body
     value = {"t": np.arange(len(body.fields), dtype=float)} | _values(dated, columns)
+    behind = place.keys() & {"yaw", "qw"} == set() and place.get("t") == place.get("y", 0) + 1  # x, y, t
+    if behind and (np.diff(value["t"]) < 0.0).any() and not manner.columns.keys() & {"t"}:
+        told = f"{'truth.' * manner.true}theta={place['t'] + 1}"
+        others = {role: j for role, j in place.items() if role != "t"} | {"yaw": place["t"]}
+        return read_named(text, manner, replace(columns, place=others, told=told))
     if flat:
         value["yaw"] = 2.0 * np.arctan2(value.pop("qz"), value.pop("qw"))
     absent = not quaternion and "yaw" not in value
@@ -381,6 +387,7 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
         notes += ("stamps do not ascend, so its rows are compared one by one, without stamps",)
         value["t"], place = np.arange(len(body.fields), dtype=float), {r: j for r, j in place.items() if r != "t"}
         columns = replace(columns, place=place)
+    _require_one(body, text.fields[0] if columns.in_data else (), value)
     flat = "lat" in value and "z" not in value  # angles in space beside latitudes without a height
     if quaternion or "z" in value or (not flat and ("roll" in place or "pitch" in place)):
         found = replace(_spatial(body, columns, value, manner, notes, unit_of_time), datum=datum)
@@ -396,6 +403,29 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     )
     found = replace(found, datum=datum)
     return paths.without_headings(found) if absent else found
+
+
+def _require_one(body: Text, names: Sequence[str], value: dict[str, Array]) -> None:
+    """Raise DataError where a column tells paths apart whose rows alternate: what it holds changes at each of equal
+    stamps of other places, or often, and the path goes far then.
+    """
+    place = np.nan_to_num(value["x"] + 1j * value["y"])
+    step = np.abs(np.diff(place))
+    same = (np.diff(value["t"]) == 0.0) & (step > 0.0)
+    for name, *column in zip(names, *(fields[: len(names)] for fields in body.fields), strict=False):
+        kinds, of = Counter(column), np.array(column)
+        if not 1 < len(kinds) <= min(PATHS, len(of) // PATHS):
+            continue
+        turns, own = of[1:] != of[:-1], np.concatenate([np.abs(np.diff(place[of == kind])) for kind in kinds])
+        far = turns.mean() > OFTEN and np.median(step[turns]) > FAR * np.median(own)
+        if far or (same.any() and turns[same].all()):
+            listed = ", ".join(f"{kind} ({many})" for kind, many in kinds.items())
+            what = f"rows are of {name} {listed}: name one, as in {body.path}:{name}={column[0]}"
+            raise DataError.at(body.path, what)
+
+
+PATHS, OFTEN, FAR = 10, 0.1, 5.0
+"""Most paths in a file, and rows of each; least share of rows that change to another, and ratio of their steps."""
 
 
 def _variances(value: dict[str, Array], columns: Columns) -> tuple[dict[str, Array], str]:
@@ -465,6 +495,10 @@ def _spatial(
     zero = np.zeros(len(body.fields))
     if "qw" in value:
         q = np.column_stack([value[name] for name in POSE[4:]])
+        length = np.linalg.norm(q, axis=1)
+        if columns.line and (odd := (np.abs(length - 1.0) > UNIT) & (length > 0.0)).any():
+            q[odd] /= length[odd, None]
+            notes += (f"inferred: {odd.sum()} of {len(q)} quaternions are not of length 1 and scaled",)
     else:
         angles = np.column_stack([value["yaw"], value.get("pitch", zero), value.get("roll", zero)])
         lost = ~np.isfinite(angles).all(axis=1, keepdims=True)
@@ -581,7 +615,8 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
         text = _without_words(text if manner.columns.keys() - {"t"} else lines.in_names(text), manner)
         read = _reader(text, manner)
         found, cov = read(text, manner), read is lines.read_tum
-        found = replace(found, notes=(*found.notes, text.cut)) if text.cut else found
+        runs = runs_of(text.path) if found.clock.by == ROWS else ""
+        found = replace(found, notes=(*found.notes, *filter(None, (text.cut, runs.lstrip("; ")))), runs=runs)
     raw = found.headings
     if raw is not None and in_degrees(np.column_stack([found.pose[:, :2], raw])):
         told = "inferred: headings are in degrees, as which alone they follow the motion (else --unit rad)"
@@ -635,6 +670,7 @@ def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:
     shown += f", {','.join(text.fields[odd])[:40]!r}"
     example = ",".join(f"{'truth.' * manner.true}{q}={n}" for q, n in likely(text.fields).items())
     what = f"{shown}: no known trajectory format; {ACCEPTED} is needed, or columns by number: --columns {example}"
+    what += kinds_of(text.path, text.fields) or runs_of(text.path)
     raise DataError.at(text.path, what, line=text.line[odd])
 
 
@@ -716,11 +752,15 @@ def _turned(rows: Array) -> tuple[str, ...]:
 
 def likely(fields: Sequence[Sequence[str]]) -> dict[str, str]:
     """Number of each role that columns may have, as an example of a flag: a stamp where the first one ascends."""
-    rows = [tuple(map(float, row[:4])) for row in fields if len(row) > 2 and all(map(is_number, row[:4]))]
-    k = int(len(rows) > 1 and all(a[0] < b[0] for a, b in pairwise(rows)))
-    degrees = k > 0 and all(abs(row[1]) <= 90.0 and abs(row[2]) <= 180.0 for row in rows)
-    far = degrees and np.ptp([row[1:3] for row in rows], axis=0).max() < FEW * max(abs(row[2]) for row in rows)
-    return {"t": "1"} | ({"lat": "2", "lon": "3"} if far else {"x": "2", "y": "3"}) if k else {"x": "1", "y": "2"}
+    first = next((k for k, field in enumerate(fields[0]) if is_number(field)), 0)  # behind the name of a kind
+    rows = [tuple(map(float, row)) for row in (f[first : first + 4] for f in fields) if all(map(is_number, row))]
+    rows = [row for row in rows if len(row) == len(fields[0][first : first + 4]) > 1]
+    roles = ("x", "y", "z")[: 3 if rows and len(rows[0]) == 3 and np.ptp(rows, axis=0)[2] > 2.0 * np.pi else 2]
+    if len(rows) > 1 and all(a[0] < b[0] for a, b in pairwise(rows)) and len(rows[0]) > 2:
+        degrees = all(abs(row[1]) <= 90.0 and abs(row[2]) <= 180.0 for row in rows)
+        far = degrees and np.ptp([row[1:3] for row in rows], axis=0).max() < FEW * max(abs(row[2]) for row in rows)
+        roles = ("t", "lat", "lon") if far else ("t", "x", "y")
+    return {role: str(first + k) for k, role in enumerate(roles, 1)}
 
 
 def holds_both(name: str) -> bool:

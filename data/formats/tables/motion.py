@@ -18,7 +18,7 @@ import numpy as np
 from data import se2
 from data.csv_table import Table, is_name
 from data.errors import DataError, UsageError
-from data.formats.messages import runs_of
+from data.formats.arrays import runs_of
 from data.formats.recordings.laser import TravelNoise, increments_of
 from data.formats.results.path import COARSE, STEPS
 from data.formats.results.reading import words_of
@@ -208,9 +208,9 @@ def read_odometry(
     if since is None and stamped and (lost := np.isnan(instants)).any():
         instants[lost] = columns.stamps(file, role, lost)
     if stamped:
-        back, rows = np.diff(time) < 0.0, [file.rows[k] for k in np.searchsorted(file.line, table.line)]
-        if back.any() and (runs := runs_of(file.path, file.names, rows, back.tolist())):
-            raise DataError.at(file.path, runs)
+        back = np.diff(time) < 0.0
+        if back.any() and (runs := runs_of(file.path)):
+            raise DataError.at(file.path, f"stamps begin anew{runs}")
         few = "; leave such rows out" if back.mean() < SOME else f"; a time between rows is --columns {role}.dt=NAME"
         table.require_ascending("t", strictly=False, hint=few)
         # the last of rows with equal stamps is used: a row per observation repeats the odometry

@@ -155,9 +155,12 @@ def same_clock(a: GivenPath, b: GivenPath, name: str, *, moved: bool = False) ->
             continue
         k = rows_apart(a, b) if len(a) != len(b) and not moved else 0
         if k is None:
+            if lacking.clock.by != ROWS:
+                continue
             what = f"{len(lacking)} poses without stamps, and {len(other)} of {other.file}: which belong together?"
-            flag = f"--times {name if lacking is a else 'truth'}=FILE"
-            raise DataError.at(lacking.file, f"{what} As many in both are needed, or {flag}, a stamp [s] a line")
+            flag = f"--times {name if lacking is a else 'truth'}=FILE, a stamp [s] a line"
+            where = f"--time-offset {name}=0 where both begin together"
+            raise DataError.at(lacking.file, f"{what} As many in both are needed, or {flag}, or {where}{lacking.runs}")
         at = np.arange(len(lacking)) + (k if lacking is a else -k)
         time = np.interp(at, np.arange(len(other)), other.time)
         time += (at - np.clip(at, 0, len(other) - 1)) * float(np.median(np.diff(other.time)))
@@ -220,8 +223,8 @@ def _plain_if_better(path: GivenPath, other: GivenPath) -> GivenPath:
 
 
 def _counts_rows(path: GivenPath, other: GivenPath) -> bool:
-    """Whether stamps count rows, as many as those of the other, whose stamps are elsewhere."""
-    counts = path.clock.by == paths.ASSUMED and len(path) == len(other) > FEW and (np.diff(path.time) == 1.0).all()
+    """Whether stamps count rows, and those of the other are elsewhere."""
+    counts = path.clock.by == paths.ASSUMED and min(len(path), len(other)) > FEW and (np.diff(path.time) == 1.0).all()
     return bool(counts and not _overlap(path.time, other.time))
 
 

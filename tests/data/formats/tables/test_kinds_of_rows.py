@@ -437,7 +437,7 @@ def test_speeds_of_wheels_and_ranges_alone(read):
 def test_odometry_and_truth_in_one_row_of_several_runs(convert, unread):
     rows = [f"{r},{k},{0.5 * r * k},0,0,{0.5 * r},0,{9 - k},0.2" for r in (1, 2) for k in range(9)]
     text = "\n".join(["run,t,x,y,theta,v,omega,range,bearing", *rows]) + "\n"
-    runs = "2 runs, whose stamps begin anew, are told apart by column run; choose one, as in a.csv:run=1"
+    runs = "stamps begin anew; 2 runs begin, in lines 2, 11: name one, as in a.csv:run=1"
     assert runs in unread({"a.csv": text})
     log, _ = convert({"a.csv": text}, "table", "a.csv:run=2", "out", "--truth", "a.csv:run=2")
     assert (len(log.recorded.observations.z), log.recorded.increments.mean[1, 0]) == (9, pytest.approx(1.0))
