@@ -18,7 +18,7 @@ import numpy as np
 from data import se2
 from data.csv_table import Table, is_name
 from data.errors import DataError, UsageError
-from data.formats.arrays import runs_of
+from data.formats.messages import runs_of
 from data.formats.recordings.laser import TravelNoise, increments_of
 from data.formats.results.path import COARSE, STEPS
 from data.formats.results.reading import words_of
