@@ -355,10 +355,7 @@ def test_words_before_poses_are_left_out_and_rows_are_shifted_to_fit(scored):
     assert scored(words, true) == plain
     fewer = words.partition("\n")[2]
     assert scored(fewer, true)["rmse_position_3d_m"] == pytest.approx(plain["rmse_position_3d_m"], rel=0.02)
-    assert scored(kitti(R[9:], P[9:]), true)["rmse_position_3d_m"] < 1e-4
-    for kept in (slice(150), slice(0, None, 4), slice(2, 200, 3)):  # a part of the frames, or every n-th
-        values = scored(kitti(R[kept], (P + NOISE)[kept]), true)
-        assert values["rmse_position_3d_m"] == pytest.approx(plain["rmse_position_3d_m"], rel=0.2)
+    assert "or --times estimate=FILE" in scored(kitti(R[9:], P[9:]), true, wrong=True)
     lost = np.r_[:80, 120 : len(R)]
     assert "--time-offset estimate=0 where both begin" in scored(kitti(R[lost], P[lost]), true, wrong=True)
     assert scored(kitti(R[lost], P[lost]), true, flags=("--time-offset", "0"))["matched"] == len(lost)

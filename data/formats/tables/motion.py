@@ -148,15 +148,8 @@ def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | Non
             what += " (accelerations are not integrated: their errors grow with the square of time; a gyro is omega)"
         if sum(re.search(FOUR, name) is not None for name in file.names) >= 4:
             what += f" ({SAID['four-wheels']})"
-        sides = ((n, n.replace("left", "right").replace("Left", "Right")) for n in file.names)
-        pairs = sorted((pair for pair in sides if pair[0] != pair[1] and pair[1] in file.names), key=_no_wheel)
-        as_in = "{0}left={1},{0}right={2}".format(own, *pairs[0]) if pairs else f"{own}v=SPEED,{own}omega=TURN_RATE"
-        raise DataError.at(file.path, f"{what}; name them as in --columns {as_in}")
+        raise DataError.at(file.path, f"{what}; name them as in --columns {own}v=SPEED,{own}omega=TURN_RATE")
     raise DataError.at(file.path, f"holds {' and '.join(named or found)}; choose one with --{role}-kind {found[0]}")
-
-
-def _no_wheel(pair: tuple[str, str]) -> bool:
-    return "wheel" not in pair[0].lower()
 
 
 def pose_columns(file: TextTable, columns: Columns, role: str) -> tuple[str, ...]:

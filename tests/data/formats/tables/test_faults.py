@@ -28,8 +28,6 @@ def table(convert):
     (GOOD.replace("3,1,0,3", "3,1,0,-3"), SIGMAS, "column range: -3 is a negative range"),
     (GAPS, SIGMAS, ":33: column v: -999 in 3 of 34 rows, far beyond all others, is no measurement"),
     (GOOD.replace("omega", "gyro"), SIGMAS, "no odometry: columns t, v, gyro"),
-    ("t,arm_left,arm_right,position.left_wheel,position.right_wheel\n0,1,1,1,2\n1,1,1,2,3\n", (),
-     "--columns left=position.left_wheel,right=position.right_wheel"),
     (GOOD.replace("omega", "v"), SIGMAS, "columns 2 and 3 are named 'v'; name one by its number"),
     (GOOD.partition("\n")[2], SIGMAS, "columns 1 to 5, without names"),
     (b"PK\x03\x04\x00\x00", SIGMAS, "cannot be unpacked: File is not a zip file"),
