@@ -26,6 +26,7 @@ Names are loaded on first use. This module is also the command `slamref`; `slamr
 """
 
 import sys
+import tomllib
 import warnings
 from collections.abc import Sequence
 from functools import cache
@@ -47,33 +48,7 @@ MODULES = {
 HOMES = {name: module for module, names in MODULES.items() for name in names.split()}
 OF_WINGS = ("audit",)
 __all__ = sorted([*HOMES, *OF_WINGS, "__version__"])
-COMMANDS = {
-    "run": ("eval.run_all:main", "run filters and smoothers on identical inputs, score them, write a report"),
-    "lab": ("eval.run_all:lab", "do a whole lab and answer its questions: corridor:SEED, visual:SEED"),
-    "study": ("eval.datasets:study", "Monte Carlo study of a simulated world, with consistency verdicts"),
-    "report": ("eval.open_report:main", "show a report in the browser"),
-    "inspect": ("eval.inspect:main", "print the contents of a log and unusual values"),
-    "example": ("eval.example:main", "write example files of a log, with the commands that convert and run them"),
-    "convert": ("data.convert.__main__:main", "turn a recording or a simulation into an open log folder"),
-    "score": ("eval.score:main", "score a trajectory of another program against a ground truth"),
-    "report-problem": ("eval.inspect:problem", "pack an anonymous, reduced copy of an input with its notices"),
-    "check": ("eval.check:main", "check your own estimator or association method"),
-    "play": ("eval.play:main", "write a page that replays a log in the browser"),
-    "twin": ("eval.twin:main", "draw a bootstrap replicate of a log from its own noise model"),
-    "tune": ("eval.tune:main", "fit noise, biases and odometry scales to a labelled log"),
-    "datasets": ("eval.datasets:main", "list public data sets: page, licence, digest, command"),
-    "benchmark": ("eval.benchmark:main", "time the estimators beside their peers"),
-    "warm": ("eval.warm:main", "compile all kernels into the cache"),
-}  # Module and function of each subcommand of the core, and what it does
-FIRST = """\
-slamref scores EKF and smoother estimates of one robot log, and their data associations.
-  slamref run arena:0      a simulated log: table on the terminal, report in results/report
-  slamref lab corridor:3   the corridor lab with its questions answered
-  slamref inspect my_log   what a log of yours contains
-slamref --help lists all commands.
-"""
-
-
+TEXTS = Path(__file__).parent / "eval/plan/flags/texts"
 PACKAGES = ("association", "data", "ekf", "eval", "graph", "wings")
 
 
@@ -81,7 +56,8 @@ def commands() -> dict[str, tuple[str, str]]:
     """The subcommands, those of wings last."""
     from data.wing import wings
 
-    return COMMANDS | {name: command for wing in wings() for name, command in wing.commands.items()}
+    found: dict[str, tuple[str, str]] = tomllib.loads((TEXTS / "commands.toml").read_text(encoding="utf-8"))
+    return found | {name: command for wing in wings() for name, command in wing.commands.items()}
 
 
 def _hidden() -> dict[str, Path]:
@@ -157,7 +133,7 @@ def _command(words: list[str]) -> int:
         lines = "".join(f"  {command:<15}{about}\n" for command, (_, about) in known.items())
         usage = f"usage: slamref COMMAND ...\n\n{lines}\nslamref COMMAND --help shows its flags, with examples.\n"
         version = f"slamref {__getattr__('__version__')}\n" if name == "--version" else ""
-        sys.stdout.write(version or (usage if name else FIRST))
+        sys.stdout.write(version or (usage if name else (TEXTS / "first.txt").read_text(encoding="utf-8")))
         return 0
     hint = meant(name, known) or f"; type one of {', '.join(known)}"
     sys.stderr.write(f"slamref: {name}: no such command{hint}\n")

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from data import se2
-from data.command import Command
 from data.errors import UsageError
 from data.terminal import ending
 from data.whole import whole_folder
-from eval.plan.flags import TEXTS, texts_of
+from eval.plan.flags import TEXTS, command_of
 
 PROG = "python -m eval.example"
 COMMANDS = (TEXTS / "example.sh").read_text(encoding="utf-8")
@@ -20,9 +19,7 @@ COMMANDS = (TEXTS / "example.sh").read_text(encoding="utf-8")
 @ending()
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
-    parser = Command(prog, PROG, *texts_of("example"))
-    parser.add_argument("folder", metavar="DIR", type=Path, help="new folder for the files")
-    folder: Path = parser.read(argv).folder
+    folder: Path = command_of(prog, PROG, "example").read(argv).folder
     if folder.exists():
         raise UsageError(f"{folder} exists; name a new folder")
     with whole_folder(folder) as made:

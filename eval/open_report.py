@@ -5,12 +5,11 @@ import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
 
-from data.command import Command
 from data.errors import UsageError
 from data.terminal import ended
+from eval.plan.flags import command_of
 
 PROG = "python -m eval.open_report"
-DEFAULT = Path("results/report")
 
 
 def show(folder: Path) -> None:
@@ -24,10 +23,7 @@ def show(folder: Path) -> None:
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The command `prog`; returns its exit status."""
-    p = Command(prog, PROG, "Show the report of a result folder in the browser.", f"examples:\n  {PROG} results/report")
-    about = f"the result folder (default: {DEFAULT})"
-    p.add_argument("folder", metavar="DIR", type=Path, nargs="?", default=DEFAULT, help=about)
-    return ended(lambda: show(p.read(argv).folder))
+    return ended(lambda: show(command_of(prog, PROG, "report").read(argv).folder))
 
 
 if __name__ == "__main__":

@@ -5,8 +5,8 @@ import sys
 import time
 from collections.abc import Sequence
 
-from data.command import Command
 from data.terminal import ending
+from eval.plan.flags import command_of
 
 PROG = "python -m eval.warm"
 
@@ -14,9 +14,7 @@ PROG = "python -m eval.warm"
 @ending("interrupted; compiled kernels are kept")
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     """The command `prog`; returns its exit status."""
-    p = Command(prog, PROG, "Compile all kernels into the cache.")
-    p.add_argument("--background", action="store_true", help="at low priority, unless another process compiles; silent")
-    background: bool = p.read(argv).background
+    background: bool = command_of(prog, PROG, "warm").read(argv).background
     if background:
         os.nice(19)
     from data.compiled import base
