@@ -33,9 +33,7 @@ wrap_angle_jit = njit(se2.wrap_angle)
 
 @njit
 def _measure_line(extrinsic: Array, pose: Array, rho: float, alpha: float, z_hat: Array, Hx: Array, Hl: Array) -> None:
-    """`measure` for a wall: z = (d, phi), phi = alpha - theta + rotation, d = rho - n(alpha) . p + n(phi) . T. Beyond
-    the wall d < 0, and the normal towards it is the opposite one: z = (-d, phi + pi).
-    """
+    """`measure` of a wall: z = (rho - n(alpha) p + n(phi) T, alpha - theta + rotation); beyond it (-d, phi + pi)."""
     c, s = math.cos(alpha), math.sin(alpha)
     phi = alpha - pose[2] + extrinsic[0]
     arm = math.cos(phi) * extrinsic[2] - math.sin(phi) * extrinsic[1]  # d (n(phi) . T) / d phi

@@ -292,9 +292,7 @@ class Filter:
         self, observations: FrameObservations, decisions: IntArray, at: IntArray, known: Array, threshold: float,
         pose: Array | None,
     ) -> Updated:  # fmt: skip
-        """Update with the paired observations, without new landmarks, linearized at the mean, at `pose` (3,), or at the
-        first estimates. `at` (m,) and `known` (m, 2): of the landmarks that they are paired with, see `Pairings`.
-        """
+        """Update with paired observations at the mean, `pose` (3,) or first estimates; at, known: `Pairings`."""
         self._version += 1
         m = len(decisions)
         start = self._mean if pose is None or len(self._first) else self._state_at(pose)

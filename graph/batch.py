@@ -326,11 +326,7 @@ def gnc(
 
 
 def _truncated(result: Smoothed, dims: Array, probability: float) -> Smoothed:
-    """The result with what its chi-square, and each NIS, are expected to be, of believed measurements (k,).
-
-    With a measurement the cost is larger by its NIS against all others, and without it by the threshold. So at the
-    minimum it is believed where its NIS is below the threshold: a truncated chi-square variable.
-    """
+    """With expected chi-square and NIS of believed measurements (k,), truncated at what others cost: the limit."""
     each = np.array([truncated_square(gate_threshold(probability, int(d)), int(d)) for d in dims]).reshape(-1, 2)
     mean, variance = (each.sum(axis=0) / max(int(dims.sum()), 1)).tolist()
     fixes, closures = (None if of is None else of._replace(gate=probability) for of in (result.fixes, result.closures))

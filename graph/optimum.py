@@ -219,9 +219,7 @@ def optimize(
 
 
 def _descend(linearizer: Linearizer, values: gtsam.Values, *, enough: float = STEP) -> _Found:
-    """Gauss-Newton steps, each shortened until the cost falls, until one is short `enough` or none descends. With fixes
-    or closures they are extrapolated as well: a wrong one leaves a large residual, or no weight.
-    """
+    """Gauss-Newton steps, shortened until the cost falls (extrapolated too), until one is short `enough`."""
     error, before, first = linearizer.cost(values), math.inf, 1.0
     rounding = ROUNDING * math.sqrt(3 * len(linearizer.structure.variable))
     past, extrapolates, drop = list[tuple[Array, Array]](), linearizer.extrapolates, 0.0
@@ -327,9 +325,7 @@ def _smoothed(
 def _in_world(
     motion: Motion, found: _Found, pose: Array, covariance: Array, state: MapState | None
 ) -> tuple[Trajectory, MapState | None, Systematics | None]:
-    """Path, map (None: known) and systematic errors (None: none) in the world from the sensor's frame: `pose` (N, 3);
-    `covariance` (V, 3, 3): poses in body frames, the robot's first; landmarks; drifts in squared sigmas.
-    """
+    """Path, map, errors (None: known, none) in the world; `covariance` (V, 3, 3): poses, landmarks, drifts."""
     n, solution, errors = len(pose), found.solution, motion.errors(found.values)
     sigma, at = motion.sigma, motion.constant
     of_errors = solution.covariance * np.outer(sigma[at], sigma[at])

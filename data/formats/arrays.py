@@ -238,9 +238,7 @@ def _unrolled(name: str, value: Any) -> Columns:
 
 
 def _solid(path: Path, name: str, value: Array, odometry: int, lengths: Collection[int]) -> Columns:
-    """NAME_1_1, NAME_1_2, ... of an array of three dimensions, and NAME.element, which counts its rows: they are along
-    the only dimension as long as the odometry, or `LONG` times as long as the others, or as some other array is.
-    """
+    """NAME_1_1, ... of an array of three dimensions, and NAME.element; its rows are the odometry's, or most."""
     longest = np.argmax(value.shape) if max(value.shape) >= LONG * sorted(value.shape)[1] else None
     counts = [(n == odometry, axis == longest, n in lengths) for axis, n in enumerate(value.shape)]
     along = next((axes.index(True) for axes in zip(*counts, strict=True) if axes.count(True) == 1), None)
@@ -263,9 +261,7 @@ def _numbered(name: str, table: Array) -> Columns:
 
 
 def _listed(name: str, structs: Sequence[Mapping[str, Any]]) -> Columns:
-    """A row for each struct, of fields that have as many numbers in all. Below them a row for each column of a matrix,
-    or each struct, that a field holds: with its struct's number as NAME.element, and its single numbers, as stamps.
-    """
+    """A row for each struct, below them for each column of a matrix or struct in a field, counted: NAME.element."""
     columns, single, inside = Columns(), list[str](), list[str]()
     for key in structs[0] if structs else ():
         shapes = {np.shape(s[key]) if isinstance(s[key], np.ndarray) else () for s in structs}

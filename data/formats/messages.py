@@ -168,9 +168,7 @@ LONGEST = 1000  # Lines of a field within quotes
 
 
 def _pairs(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
-    """A header and rows of lines `key: number, key: [number, number], key: number number` of the same keys, below
-    titles, of lists as key_1, key_2; a number in brackets before them is the stamp. None of other lines.
-    """
+    """Header and rows of lines `key: number, key: [number, number]` of the same keys, a stamp before; or none."""
     rows, names = list[tuple[int, str]](), ""
     for number, line in lines:
         if not line.strip() or line.lstrip().startswith("#"):
@@ -195,9 +193,7 @@ PAIR = rf"(?<!\w)([A-Za-z_]\w*)\s*[:=]\s*(?:({SEVERAL[0]})(?![\w.])|{SEVERAL[1]}
 
 
 def _blocks(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
-    """A header and rows of lines `key: number` each, in blocks that begin with the first key; none of other lines. A
-    key that comes again begins a row with the same values of the keys before it.
-    """
+    """Header and rows of lines `key: number`, in blocks from the first key on, or of a key that comes again."""
     pairs = [(i, *line.replace(" ", "").partition(":")[::2]) for i, line in lines if line.strip()]
     names = list(dict.fromkeys(key for _, key, _ in pairs))
     if len(pairs) < 2 * len(names) or not all(key.isidentifier() and is_number(value) for _, key, value in pairs):

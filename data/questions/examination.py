@@ -528,10 +528,7 @@ def _motions(c: Case, span: int) -> tuple[Array, ...] | None:
 
 
 def _share(off: Array, moved: Array, variance: Array, aside: Array | None = None) -> tuple[float, float, float, float]:
-    """How much of what a reading changes in differences (n, 2) is there, what it gains in log-likelihood, and squares
-    of the differences as stated and left, along what it changes. A misstated noise is estimated along: likelihoods are
-    those of the noise that fits best; so is what is `aside` (n, 2, q), the effects of other errors.
-    """
+    """Share of a reading's change in differences (n, 2), gain in log-likelihood, squares stated and left."""
     sigma = np.sqrt(np.maximum(variance, TINY**2))
     off, e = off / sigma, (off - moved) / sigma
     square = np.sum(off**2, axis=1)

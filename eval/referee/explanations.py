@@ -415,11 +415,7 @@ def _are_of(e: Evidence, landmark: Explanation) -> bool:
 
 
 def _tails(e: Evidence, observations: Array) -> tuple[list[Explanation], Array]:
-    """Student's t instead of the Gaussian, for residuals (M, 2) in their sigmas (NaN: not paired), and squares (M,)
-    that are chi-square whatever the scale of the noise and its tails.
-
-    Its core is as wide as stated, or its variance as large; a t of any scale has to beat a Gaussian of any scale.
-    """
+    """Student's t instead of the Gaussian for residuals (M, 2) in sigmas, squares (M,); core or variance stated."""
     rows = np.flatnonzero(np.isfinite(observations).all(axis=1))
     even = np.nansum(observations**2, axis=1)
     if len(rows) < 4 * FEWEST:

@@ -111,9 +111,7 @@ def _lowest(
     inputs: Inputs, final: IntArray, initialized: IntArray, starts: Sequence[Callable[[], Start | None]], loss: str,
     rejected: BoolArray, enough: float,
 ) -> Smoothed:  # fmt: skip
-    """The minimum from the first start, or the lowest of those from others, as long as it is suspicious. Under a robust
-    loss wrong closures hide in a low cost: two starts then.
-    """
+    """The minimum from the first start, or the lowest from others while it is suspicious, as under a robust loss."""
     result, stop, tried = None, None, 0
     both = loss != "gaussian" and inputs.closures is not None
     for each in starts:
@@ -137,9 +135,7 @@ def _lowest(
 
 
 def _start_of(other: Callable[[], Run], inputs: Inputs, initialized: IntArray) -> Start | None:
-    """The path of another run as a start; None: it has none, or its landmarks are others. A run whose landmarks begin
-    late numbers them in its own order, and has no place for those that did not begin.
-    """
+    """The path of another run as a start; None: it has none, or other landmarks, as one whose landmarks begin late."""
     run = other()
     if run.failure is not None or run.online is None:
         return None

@@ -88,9 +88,7 @@ def source_of(
 
 
 def _gated(inputs: Inputs, path: Array, used: residuals.Used) -> IntArray:
-    """Row of the landmark (M,) that an unused observation fits although a gate left it out; -1: none. Copied as
-    clutter, it would be paired rightly again and counted as wrong.
-    """
+    """Row of the landmark (M,) that a gated observation fits, -1: none; as clutter it would count as wrong."""
     o = inputs.observations
     row = np.full(len(o.frame), -1)
     for i in np.flatnonzero(used.number < 0):

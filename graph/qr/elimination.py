@@ -453,9 +453,7 @@ def _covariances(
     s: Structure, t: Triangle, first: IntArray, sets: IntArray, column: IntArray, at: IntArray, out: Array,
     at_out: IntArray,
 ) -> None:  # fmt: skip
-    """Joint covariances by front: the covariance of its columns is kept until its last child is done. `first` (V + 1,),
-    `sets` (Q,): sets by front; `column`, `at` (Q + 1,): columns of each; `out`, `at_out`: results.
-    """
+    """Joint covariances by front, kept until the last child; `first`, `sets` by front; `column`, `at` columns."""
     first_of, parent, children, start, after = s.column, s.parent, s.children.copy(), s.start, s.after
     R, S, at_R, at_S = t.R, t.S, t.at_R, t.at_S
     fronts, used = np.empty(1024), 0

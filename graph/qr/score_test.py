@@ -311,11 +311,7 @@ def _eliminated(
 
 
 def _chain(inputs: Inputs, path: Array) -> tuple[Array, Array, Array]:
-    """Jacobians F to the pose before and B to the increment (N, 3, 3), and deviations (N, 3) of the data from `path`.
-
-    The deviations are of the prior in row 0, of the stated increment in the others. F turns the smoothed motion, not
-    the stated one (`data.motion.velocity.carried` of it): the optimum is there.
-    """
+    """Jacobians F to the pose before, B to the increment (N, 3, 3), deviations (N, 3) from `path`: prior, then it."""
     n = len(path)
     F, B, moved = np.tile(np.eye(3), (n, 1, 1)), np.tile(np.eye(3), (n, 1, 1)), np.empty((n, 3))
     F[1:, 0, 2], F[1:, 1, 2] = path[:-1, 1] - path[1:, 1], path[1:, 0] - path[:-1, 0]

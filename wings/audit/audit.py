@@ -298,9 +298,7 @@ def searched(
 def _graduated(
     graph: linear.Graph, values: linear.Values, order: IntArray, loops: BoolArray
 ) -> tuple[IntArray, linear.Values]:
-    """The loops that graduated non-convexity rejects, and its optimum; it starts from the path without loops. Truncated
-    least squares (Yang et al. 2020, equations 12 to 14), with one step of Gauss and Newton for each `mu`.
-    """
+    """Loops that graduated non-convexity rejects (Yang et al. 2020, eq. 12 to 14), and its optimum."""
     now = optimum_without(graph, values, np.flatnonzero(loops))
     system, mu, weight = linear.linearize(graph, now), 0.0, np.ones(len(loops))
     for _ in range(GRADES):
@@ -594,9 +592,7 @@ def _without_growth(N: Array, D: Array) -> tuple[int, Array]:
 
 
 def _gauge(f: linear.Factored, N: Array, members: IntArray, poses: IntArray) -> tuple[int, Array]:
-    """Number of the directions that move nearly all poses, and what still moves while one of them stays. That pose
-    stays that lets the fewest others move, of a few: one that is loose itself would let all.
-    """
+    """Number of directions that move nearly all poses, and what moves while the pose that lets the fewest stays."""
     rank = _ranks(f, N, poses)
     if np.count_nonzero(rank) < max(WHOLE * len(poses), 1):
         return 0, N

@@ -320,11 +320,7 @@ def _chain(f: Factored) -> dict[int, Array]:
 def _tested(
     f: Factored, seen: Sequence[Directions], k: int, rows: IntArray, chain: Mapping[int, Array]
 ) -> tuple[Cluster, Array]:
-    """Those of some factors of group k that agree most, and the right-hand side whose solution is the motion without.
-
-    From all factors down to two, each time without the one that agrees least: the least p value counts, corrected for
-    the number of subsets of equal size, and of sizes.
-    """
+    """Those of group k that agree most, and the right-hand side without them; the least p, corrected for subsets."""
     g, (n, d), every = f.system.groups[k], (len(rows), seen[k].r.shape[1]), np.arange(len(rows))
     root, index, later = np.sqrt(g.weight[rows])[:, None], f.index(g)[rows], g.variables[rows].max(1)
     A, r = root[:, :, None] * g.A[rows], root * seen[k].r[rows]

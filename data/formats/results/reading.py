@@ -219,9 +219,7 @@ OTHERS = (
 
 
 def _by_number(names: Sequence[str]) -> dict[str, str]:
-    """Names c_xx to c_tt of the entries P00, P_0_1 or P[1][1] of a covariance, or of variances P_0 to P_2: of x, y and
-    heading, or of x and y of a larger state.
-    """
+    """Names c_xx to c_tt of entries P00, P_0_1 or P[1][1], or of variances P_0 to P_2, of x, y, heading, or x and y."""
     digits = {n: re.findall(r"\d", n) for n in names if re.fullmatch(r"P_?\[?\d[\]\[_,]*\d\]?|P_\d", n)}
     pair = {n: (int(d[0]), int(d[-1])) for n, d in digits.items()}
     low, high = min(map(min, pair.values()), default=2), max(map(max, pair.values()), default=2)
@@ -538,9 +536,7 @@ def _planar(
     body: Text, kind: str, value: dict[str, Array], manner: Manner, notes: tuple[str, ...],
     *, unit: str | None = None, column: int, angles: str | None = None, ours: bool = False,
 ) -> GivenPath:  # fmt: skip
-    """The trajectory of t, x, y, yaw [rad] and maybe a covariance. `unit`: of the stamps in a `column`; `angles`: the
-    stated unit of headings. `ours`: unknown poses are kept, and a covariance of zeros is an exact prior.
-    """
+    """The trajectory of t, x, y, yaw [rad], maybe a covariance; `ours`: unknown poses stay, zeros are exact priors."""
     time, clock = lines.times_of(body, value["t"], manner, unit=unit, column=column)
     scale = LENGTH[manner.lengths or "m"]
     pose = np.column_stack([scale * value["x"], scale * value["y"], wrap_angle(value["yaw"])])

@@ -893,9 +893,7 @@ class Columns:
         return values * self.units.factor(role, "t") + self.offsets.get(role, 0.0)
 
     def _by_word(self, file: TextTable, column: int, keep: BoolArray) -> Array | None:
-        """Numbers of landmarks (K,) that a column names by words, NaN where blank; None where all are numbers. Of words
-        that end with a number of their own it is that, else they are numbered by their first use, which is noted.
-        """
+        """Numbers of landmarks (K,) named by words: their last number, else by first use; None: all are numbers."""
         texts = file.text(column, keep)
         if not self.words and all(is_number(text) for text in texts if text):
             return None

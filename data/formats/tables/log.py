@@ -256,9 +256,7 @@ def _rows_a_step(file: TextTable, of: TableSensor, wanted: Wanted, poses: int) -
 
 
 def _landmarks_in_turn(seen: Array, of: TableSensor, wanted: Wanted) -> tuple[IntArray, str]:
-    """Ids (n,) of the landmarks that K poses observe in the same order, at points `seen` (K, n, 2), and a note on why.
-    The order is that of the map, or constant, if distances between successive landmarks agree. Else no ids.
-    """
+    """Ids (n,) of landmarks seen (K, n, 2) in one order, that of the map or constant by their distances; and a note."""
     texts, apart = wanted.texts, np.hypot(*np.moveaxis(seen - np.roll(seen, 1, axis=1), -1, 0))
     known = _map(texts["map"], replace(wanted, columns=wanted.columns.quiet)) if "map" in texts else None
     ids = np.arange(seen.shape[1]) if known is None else known.id
@@ -641,9 +639,7 @@ def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) ->
 
 
 def _ahead(pose: Array, moved: Array) -> tuple[float, float] | None:
-    """Heading at the start that takes the odometry's increments (N, 3) to the true places (N, 3), and its deviation;
-    None: no way.
-    """
+    """Heading at the start, with its deviation, that takes increments (N, 3) to true places (N, 3); None: no way."""
     path = se2.dead_reckoned(np.zeros(3), moved)
     way, driven = ((p[:, :2] - p[0, :2]) @ np.array([1.0, 1j]) for p in (pose, path))
     far = np.flatnonzero((np.abs(way) > FAR) & (np.abs(driven) > FAR))
@@ -663,9 +659,7 @@ def _agree(fixes: Fixes, moved: Increments, start: Array) -> bool:
 
 
 def _fresh(fixes: Fixes, moved: Increments, notes: list[str]) -> Fixes:
-    """Without positions that repeat the one before of their source to the last digit, if some do while the odometry
-    moves: such a source holds its last one.
-    """
+    """Without positions that repeat the one before of their source while the odometry moves: such a source holds it."""
     rows = np.flatnonzero(fixes.kind != FixKind.HEADING)
     rows = rows[np.argsort(fixes.source[rows], kind="stable")]
     stated = np.column_stack([fixes.source, fixes.z])[rows]

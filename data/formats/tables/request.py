@@ -154,9 +154,7 @@ def _sensor(
     role: str, name: str, texts: Mapping[str, Mapping[str, str]], file: TextTable, columns: Columns, taken: bool,
     *, free: bool = False,
 ) -> TableSensor | None:  # fmt: skip
-    """One of them, by what is stated of it, or else of all; `taken`: x and y are the odometry's or the truth's; `free`:
-    none where there are no columns, which is noted.
-    """
+    """One of them, by what is stated of it, or of all; `taken`: x, y are another's; `free`: none without columns."""
     of = {flag: found.get(name, found.get("")) for flag, found in texts.items()}
     found = [q for q in ("range", "bearing") if (columns.quiet if free else columns).find(file, role, q) is not None]
     guessed = free and found == ["range"] and not {"range", "label", "true_id"} & {*file.names, *columns.given}
@@ -475,9 +473,7 @@ def _by_layout(p: _Parts) -> list[str]:
 
 
 def _blind(p: _Parts, given: Given) -> tuple[float, Given]:
-    """The speed [m/s] within which a robot without odometry moves, 0 with one, and the flags: that of any robot beside
-    scans, that of the fixes beside these. To a speed alone belongs an unknown turn rate.
-    """
+    """The speed [m/s] within which a robot without odometry moves, 0: with one; and flags, beside scans or fixes."""
     table, looked = p.texts["odometry"], p.columns.quiet
     known = any(looked.has(table, "odometry", measured) for measured in KINDS.values())
     if known or "odometry-kind" in given:
@@ -601,9 +597,7 @@ def _laid_out(
 
 
 def _are_places(texts: Mapping[str, TextTable], columns: Columns, kind: str) -> bool:
-    """Whether x and y beside an odometry are not observations but places in the world, which fit the path better than
-    they stand still as landmarks, nor that path itself, which would count twice.
-    """
+    """Whether x, y beside an odometry are places that fit its path better than landmarks that stand still do."""
     file, looked, wants = texts["odometry"], columns.quiet, ("t", "x", "y")
     others = ("range", "bearing", *table_files.IDS)
     alone = looked.has(file, OBSERVATIONS, wants) and not any(looked.has(file, OBSERVATIONS, (q,)) for q in others)

@@ -214,9 +214,7 @@ def _geometry(names: Sequence[str]) -> dict[str, tuple[int, float]]:
 
 
 def _uneven(scanner: Array, beams: int) -> tuple[IntArray, Array]:
-    """The place of each beam of stated angles (beams + 1,), reach last, among angles at equal steps, and their first
-    angle, step and reach. UsageError where no step of the smallest gap, or up to a twentieth of it, fits all angles.
-    """
+    """Places (beams + 1,) of stated angles among equal steps, first angle, step and reach. UsageError: no step fits."""
     angles, reach = scanner[:-1], scanner[-1]
     off = angles - angles.min()
     gap = float(np.diff(np.unique(angles)).min(initial=2.0 * np.pi)) if len(angles) == beams else 0.0
@@ -228,9 +226,7 @@ def _uneven(scanner: Array, beams: int) -> tuple[IntArray, Array]:
 
 
 def _folded(file: TextTable, beam: int, columns: Columns, odometry: Odometry) -> tuple[TextTable, list[int], Array]:
-    """Scans whose ranges are in one column, one scan after the other, as a row each; their columns, and the stamps.
-    DataError where stamps, or poses without any, do not tell how many ranges are a scan.
-    """
+    """Scans whose ranges are in one column, one after the other, a row each; columns and stamps. Or DataError."""
     count = 1 + max((k for k, row in enumerate(file.rows) if row[beam]), default=-1)
     stamp, what, uneven = odometry.rows[~np.isnan(odometry.rows)], "poses", False
     if columns.find(file, "scans", "t") is not None:
@@ -251,9 +247,7 @@ def _folded(file: TextTable, beam: int, columns: Columns, odometry: Odometry) ->
 
 
 def _alone(file: TextTable, rows: int) -> tuple[int, dict[str, str]] | None:
-    """First column of the ranges in a file without names that holds nothing else, but before them stamps, whose column
-    is stated then, or row numbers; without stamps as many rows as the odometry's.
-    """
+    """First column of ranges in a file without names that holds nothing else but stamps (stated) or row numbers."""
     if file.named or len(file.names) < BEAMS or not all(is_number(f or "0") for row in file.rows for f in row):
         return None
     values = np.nan_to_num(np.array([[f or "0" for f in row] for row in file.rows], float), posinf=0.0)

@@ -241,10 +241,7 @@ def _motions(
 
 @njit
 def _fit(of: IntArray, s: Step, prior: float, rounds: int, wide: float, some: float) -> tuple[float, float, float]:
-    """Shares after `rounds` rounds, with a prior of `prior` pairs and steps for the stated noise. Pair j is of step
-    of[j], whose covariance is s.covariance[of[j]]. It is of a static landmark, of a moving object (noise times `wide`),
-    or of two landmarks.
-    """
+    """Shares after `rounds` rounds with a prior of `prior` pairs; pair j of step of[j] is static, moving or of two."""
     _, nu, H, one, two, chance = s
     n, steps = len(of), len(s.covariance)
     # from above: noise that is as large as that of what moves would else be taken for it

@@ -92,10 +92,7 @@ def _occluded(
     polar: Array, seen: Array, at: IntArray, at_seen: IntArray, shadow: float, width: float, open_to: BoolArray,
     behind: BoolArray,
 ) -> None:  # fmt: skip
-    """Which of the polar places (n, 2) have something observed (m, 2) before them, within the angle `shadow` [rad]: not
-    open. Which have another one before them, by `width` [m] and within half that width at its distance: behind. `at`,
-    `at_seen`: see `sights`.
-    """
+    """Which polar places (n, 2) have something seen (m, 2) before them within `shadow` [rad], which another."""
     for f in range(len(at) - 1):
         for i in range(at[f], at[f + 1]):
             r, b = polar[i, 0], polar[i, 1]
@@ -322,9 +319,7 @@ def _log_sum(terms: Array) -> float:
 
 @njit
 def _likelihoods(codes: IntArray, p: Array, chance: float, leaving: float, result: Array, expected: Array) -> None:
-    """Log-likelihoods `result` (3,) of the kinds: sums over the codes k before which a landmark may have left. expected
-    (3,), written: a transient landmark vanished at once, if it has codes, or later; codes that it lasted.
-    """
+    """Log-likelihoods `result` (3,) of the kinds, over the codes before which it may have left; expected (3,)."""
     (real, at_once, later, appears), a, b = p[0], p[1].copy(), p[2].copy()
     rate, before = a / (a + b), 0
     while before < len(codes) and codes[before] == BEFORE:

@@ -159,10 +159,7 @@ def distance_sigmas(xy: Array, P: Array) -> Array:
 
 
 def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, area: float) -> Place | None:
-    """Gauss-Newton fit of the pose to the pairings with their joint covariance; None outside the joint gate. In place
-    of log odds it has the log-likelihood of all points, the pose marginalized over a flat prior; unpaired points are
-    strays, anywhere in `area` [m^2].
-    """
+    """Gauss-Newton fit to the pairings, None outside the joint gate; log-likelihood, unpaired strays in `area`."""
     paired = np.flatnonzero(choice >= 0)
     points, places = xy[paired], landmarks[choice[paired]]
     pose = se2.rigid_fit(points, places)

@@ -369,10 +369,7 @@ class WholeLog:
 
 
 def _chances(view: Sensor, pose: Array, known: LandmarkMap, seen: Observations, number: IntArray) -> dict[int, float]:
-    """Detection probability of each landmark, by number, after it has vanished. Of clutter in its gate, which has the
-    density of the observations of no other observation's landmark; and of its nearest neighbour, if an observation of
-    this is nearer to it (normal distribution).
-    """
+    """Detection probability of each landmark after it vanished: by clutter in its gate, or its nearest neighbour."""
     single = np.bincount(number[number >= 0], minlength=1) == 1
     gate = math.pi * gate_threshold(constants.REASSOCIATION_GATE) * np.median(np.sqrt(np.linalg.det(seen.R)))
     clutter = gate * _clutter_density(view) * ((number < 0).sum() + single.sum()) / len(np.unique(seen.frame))
