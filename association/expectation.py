@@ -64,12 +64,6 @@ def _with_misreadings(probability: float, dof: int, pairs: int, error: float, co
 NOTHING = Evidence()
 
 
-def plain_residual(z: Array, z_hat: Array) -> Array:
-    """Difference without angles, for problems stated in Cartesian coordinates."""
-    difference: Array = np.asarray(z, float) - np.asarray(z_hat, float)
-    return difference
-
-
 @njit
 def _distances(nu: Array, HPHt: Array, R: Array, frame: IntArray, observed: IntArray, d2: Array, det: Array) -> int:
     """Fill d2 and det S (m, n), infinite where the frames differ; the index i * n + j of a singular pair, or -1."""
@@ -129,7 +123,7 @@ class Expectation:
 
     @classmethod
     def from_arrays(
-        cls, z: Array, z_hat: Array, joint_HPHt: Array, R: Array, residual: Residual = plain_residual, *,
+        cls, z: Array, z_hat: Array, joint_HPHt: Array, R: Array, residual: Residual = np.subtract, *,
         number: IntArray | None = None, frame: IntArray | None = None, observed_frame: IntArray | None = None,
     ) -> Expectation:  # fmt: skip
         """A problem from plain arrays: z (m, 2), z_hat (n, 2), joint_HPHt (2n, 2n), R (m, 2, 2). `number` (n,)

@@ -28,13 +28,6 @@ CALIBRATION = tuple(flag[2:].replace("-", "_") for flag in TEXTS["mrclam"]["cali
 """Fields of `data.formats.mrclam.Calibration` with a flag."""
 
 
-def _add_mrclam(add: Add) -> None:
-    """The parser of `mrclam`."""
-    about = "defaults: the frozen numbers of data/formats/mrclam.py"
-    group = parser_of(add, "mrclam").add_argument_group("calibration and noise", about)
-    declare(group, TEXTS["mrclam"]["calibration"] | TEXTS["mrclam"]["noise"])
-
-
 def _mrclam(args: argparse.Namespace) -> Log:
     """The log of the robot asked for; corrected landmarks beside the dataset are taken unless others are given."""
     from data.formats.mrclam import FROZEN, Calibration, Treatment, corrected_landmarks, load_mrclam
@@ -262,7 +255,9 @@ KINDS = tuple(CONVERSIONS)
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parsers of all kinds; `parameters`: with those of worlds, which take the world to be loaded."""
-    _add_mrclam(add)
+    about = "defaults: the frozen numbers of data/formats/mrclam.py"
+    group = parser_of(add, "mrclam").add_argument_group("calibration and noise", about)
+    declare(group, TEXTS["mrclam"]["calibration"] | TEXTS["mrclam"]["noise"])
     parser_of(add, "bag")
     _add_table(add)
     parser_of(add, "g2o")

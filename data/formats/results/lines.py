@@ -243,7 +243,8 @@ def numbers(text: Text, columns: Sequence[str], *, blank: bool = False, huge: Co
                 raise DataError.at(text.path, f"{field[:40]!r} is not a number", line=line, column=name)
             value = float(field)
             beyond = abs(value) > LARGEST and (math.isinf(value) or name not in huge)
-            if beyond and not is_covariance(name):
+            of_covariance = name.startswith(("c_", "s_")) or (name[:1] in "cPf" and name[-1:].isdigit())
+            if beyond and not of_covariance:
                 unknown = ", or nan where unknown" * math.isinf(value)
                 what = f"{field[:40]}; a finite number in SI units is needed{unknown}"
                 raise DataError.at(text.path, what, line=line, column=name)
@@ -261,11 +262,6 @@ def _plain(text: Text, k: int) -> Array | None:
         return None
     underscored = any("_" in field for fields in text.fields for field in fields)  # Python reads 1_0 as ten
     return None if underscored or not (np.abs(found) <= LARGEST).all() else found
-
-
-def is_covariance(name: str) -> bool:
-    """Whether a column holds an entry of a covariance."""
-    return name.startswith(("c_", "s_")) or (name[:1] in "cPf" and name[-1:].isdigit())
 
 
 def tangent(text: Text) -> tuple[str | None, str | None]:
