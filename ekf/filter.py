@@ -292,7 +292,7 @@ class Filter:
         self, observations: FrameObservations, decisions: IntArray, at: IntArray, known: Array, threshold: float,
         pose: Array | None,
     ) -> Updated:  # fmt: skip
-        """Update with paired observations at the mean, `pose` (3,) or first estimates; at, known: `Pairings`."""
+        """Update with paired observations, linearized at the mean, at `pose` (3,) or at first estimates."""
         self._version += 1
         m = len(decisions)
         start = self._mean if pose is None or len(self._first) else self._state_at(pose)

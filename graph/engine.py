@@ -241,10 +241,8 @@ class Engine:
         return self._in_parts(keys)
 
     def _in_parts(self, keys: Sequence[int]) -> Array:
-        """The joint covariance of three or more variables, composed from those of two thirds of them each.
-
-        gtsam takes pivots of very different size (an almost unknown turn, landmarks known to millimetres) for an
-        indeterminate system, in large joint marginals even with QR.
+        """The joint covariance of three or more variables from those of two thirds of them each: gtsam takes pivots of
+        very different size for an indeterminate system in large joint marginals, even with QR.
         """
         size = np.array([self._sizes[chr(gtsam.symbolChr(k))] for k in keys])
         end = np.cumsum(size)

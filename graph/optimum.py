@@ -325,7 +325,7 @@ def _smoothed(
 def _in_world(
     motion: Motion, found: _Found, pose: Array, covariance: Array, state: MapState | None
 ) -> tuple[Trajectory, MapState | None, Systematics | None]:
-    """Path, map, errors (None: known, none) in the world; `covariance` (V, 3, 3): poses, landmarks, drifts."""
+    """Path, map and errors in the world; `covariance` (V, 3, 3): poses in body frames, landmarks, drifts."""
     n, solution, errors = len(pose), found.solution, motion.errors(found.values)
     sigma, at = motion.sigma, motion.constant
     of_errors = solution.covariance * np.outer(sigma[at], sigma[at])

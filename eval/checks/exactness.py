@@ -501,10 +501,9 @@ def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:
     if not bugs and samples < DEPLETED and told != "weights":
         bugs = (Bug.DEPLETED if again else Bug.NOT_RESAMPLED,)
     since = begin[order[0]] + 1 if order else 0
-    parts_of = ((len(given), None), (since + 3, None), (since, None), (since, Quantity.POSE))
-    for until, only in (
-        () if elsewhere else parts_of[: 4 if len(begin) > 1 else 1]
-    ):  # what is later may have other causes
+    # what is later may have other causes
+    ways = ((len(given), None), (since + 3, None), (since, None), (since, Quantity.POSE))
+    for until, only in ways[: 0 if elsewhere else 4 if len(begin) > 1 else 1]:
         early = numbers(given[:until], right[: len(given[:until])])
         bugs = bugs or likely(world, task, early, only, most=1 if drawn or only else 3)
     bugs = bugs or (() if elsewhere else first_step(text, inputs_of(world, task), allowed))
@@ -543,10 +542,8 @@ def of_samples(text: str, inputs: Inputs, frames: Frames) -> tuple[str, tuple[Bu
     bugs: tuple[Bug, ...] = ()
 
     def cloud() -> tuple[Array, Array]:
-        given = call(text, made.inner.estimate)
-        return (
-            (np.array(given.poses, float), given.normalized) if isinstance(given, Samples) else (NOWHERE, NOWHERE[:, 0])
-        )
+        given, none = call(text, made.inner.estimate), (NOWHERE, NOWHERE[:, 0])
+        return (np.array(given.poses, float), given.normalized) if isinstance(given, Samples) else none
 
     now, w = cloud()
     for frame, decisions in frames:

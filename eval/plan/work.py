@@ -139,13 +139,8 @@ def _one_at_a_time(calls: Mapping[int, Call]) -> Iterator[tuple[int, Any]]:
 
 
 def _in_worker(parent: int) -> None:
-    """Begin a worker that lives as long as the process that started it, however much memory its jobs took.
-
-    A parent that is killed, or ended by SIGTERM, tells nobody: a worker of ours would compute on, and then wait.
-
-    Loky takes a worker that grew by 300 MB for one that leaks, and replaces it with a warning. Ours grow with the size
-    of the logs; a new one would grow as much, after loading all kernels again. Without this check it collects garbage
-    every second instead, all modules included: a fifth of a study's time. There is no public switch for either.
+    """Begin a worker that lives as long as the process that started it, whatever memory its jobs took: loky would take
+    one that grew by 300 MB with the logs for a leak and replace it, or collect garbage every second. No public switch.
     """
     from joblib.externals.loky import process_executor
 

@@ -242,10 +242,8 @@ def _eliminated(
     inputs: Inputs, number: IntArray, path: Array, landmarks: Array, motion: Array, observed: Array,
     found: Systematics | None, of_poses: OfPoses | None,
 ) -> tuple[elimination.Rows, elimination.Structure, elimination.Triangle, Array, Array]:  # fmt: skip
-    """Rows, eliminated; products (1 + p, 1 + p) of residuals and columns that are left without estimated errors, and
-    the squares (1 + p,) of the columns before, data first. Arguments as of `systematic`.
-
-    Blocks of rows: a frame each (the first without rows), the used observations, an uncertain map, fixes and closures.
+    """Products (1 + p, 1 + p) of residuals and columns left without estimated errors, and squares (1 + p,) before; data
+    first, arguments as of `systematic`; blocks: frames, used observations, an uncertain map, fixes and closures.
     """
     n, p, stated = len(path), motion.shape[2], inputs
     inputs = corrected_inputs(inputs, found)
@@ -311,7 +309,7 @@ def _eliminated(
 
 
 def _chain(inputs: Inputs, path: Array) -> tuple[Array, Array, Array]:
-    """Jacobians F to the pose before, B to the increment (N, 3, 3), deviations (N, 3) from `path`: prior, then it."""
+    """Jacobians F to the pose before, B to the increment (N, 3, 3); deviations (N, 3) from `path`, the prior first."""
     n = len(path)
     F, B, moved = np.tile(np.eye(3), (n, 1, 1)), np.tile(np.eye(3), (n, 1, 1)), np.empty((n, 3))
     F[1:, 0, 2], F[1:, 1, 2] = path[:-1, 1] - path[1:, 1], path[1:, 0] - path[:-1, 0]

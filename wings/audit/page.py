@@ -98,7 +98,7 @@ def rows_of(graph: Graph) -> int:
 
 
 def _ends(file: GraphFile, graph: Graph, values: Values) -> dict[str, Values]:
-    """Where the optimizer ends by start: the vertices, others if small or misfit; a bad large graph elsewhere."""
+    """Where the optimizer ends, by start; of a large graph with far worse vertices from the other start alone."""
     poor = BAD * max(rows_of(graph) - sum(values.dims().values()), 1)
     if graph.size() > LARGEST and 2.0 * graph.error(values) > FAR_OFF * poor:
         starts = other_starts(file, values)

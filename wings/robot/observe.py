@@ -169,13 +169,9 @@ def _wheel_ways(odometry: Array) -> Array:
 
 
 def _of_odometry(odometry: Array, packets: IntArray, points: Array, alpha: float, gain: Array, slip: float) -> Array:
-    """Covariance (2, 2) of rho and alpha from the slip of each wheel on each step since the readings.
-
-    Slip of a wheel by s moves the body by s / 2 and turns it by s / WHEEL_BASE. In the newest frame, points seen before
-    the step move back by s / 2 and turn the other way about the robot's position then.
-
-    Body poses are `odometry` (F, 3); echoes came at its rows `packets` (N,), and lie at `points` (N, 2) in the last
-    body frame. `gain` (2, N) is the change of rho and alpha by the points' distances from the line, `alpha` its normal.
+    """Covariance (2, 2) of rho and alpha from the slip s of each wheel on each step since the readings: it moves by
+    s / 2 and turns by s / WHEEL_BASE. `odometry` (F, 3): body poses, echoes at its rows `packets` (N,), `points` (N, 2)
+    in the last frame; `gain` (2, N): change of rho and alpha by their distances from the line with normal `alpha`.
     """
     poses = between(odometry[-1], odometry)
     normal = np.array([math.cos(alpha), math.sin(alpha)])

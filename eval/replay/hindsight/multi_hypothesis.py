@@ -71,11 +71,8 @@ class _Replay(FrontEnd):
 
 @dataclass(eq=False)
 class _Hypothesis:
-    """A history of decisions, its estimator, and the logarithm of its weight.
-
-    names: numbers of its landmarks in decisions, by their number in its estimator (SLAM). A landmark has the same
-    number in all hypotheses in which the same observation initialized it.
-    pairing: of the present frame, with the estimator's numbers.
+    """A history of decisions, its estimator, and the logarithm of its weight. names: numbers in decisions of its
+    landmarks, one for the same first observation in all; pairing: of the present frame, with the estimator's numbers.
     """
 
     replay: _Replay

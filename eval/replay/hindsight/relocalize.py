@@ -192,11 +192,9 @@ def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, area: float
 def _search(
     xy: Array, tolerance: Array, landmarks: Array, fewest: int, slack: int, kept: int, budget: int
 ) -> tuple[IntArray, bool]:
-    """Interpretation tree over points (m, 2) in order, every landmark or none for each; depth first. A pairing must
-    agree in its distances to all points paired before, within `tolerance` (m, m). It must also be on the right side of
-    the line through the first two, because distances alone allow a mirror image. A branch is cut if it cannot reach
-    `fewest` pairings, nor the most found so far less `slack`. Returns the hypotheses (h, m), landmark index or -1, and
-    whether the search is complete.
+    """Interpretation tree over points (m, 2), depth first: hypotheses (h, m), landmark or -1, and whether complete.
+    A pairing agrees in distances within `tolerance` (m, m) with all before, and in the side of the line through the
+    first two; a branch that cannot reach `fewest` pairings, nor the most so far less `slack`, is cut.
     """
     m, n = len(xy), len(landmarks)
     found, counts, h = np.empty((kept, m), np.int64), np.empty(kept, np.int64), 0
