@@ -54,8 +54,9 @@ def _key_poses(args: argparse.Namespace) -> Log:
     from data.logs import Reading, open_log
     from eval.plan.warming import compile_if_needed
     from eval.replay.settings import Setup
+    from wings.laser.key_poses import frames_of_relations, log_of_keys
     from wings.laser.slam.front_end import is_unknown
-    from wings.laser.slam.key_log import ODOMETRY, SCAN_MATCH, frames_of_relations, key_log, log_of_keys
+    from wings.laser.slam.key_log import ODOMETRY, SCAN_MATCH, key_log
 
     loops, corners = ("loops" not in args.leave_out, "corners" not in args.leave_out)
     if args.motion == SCAN_MATCH and not (loops or corners):

@@ -213,3 +213,46 @@ class Tree:
             R, t = Rp @ R, np.einsum("nij,nj->ni", Rp, t) + tp
             name = self.moving[name].parent
         return R, t
+
+
+def table_of(path: Path, topic: str) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Names and rows of the numbers in a topic's messages, and their stamps t [s]: NAME.FIELD, of lists NAME_1, NAME_2,
+    ..., of joints NAME.JOINT.
+    """
+    with opened(path) as reader:
+        kinds = {c.topic: c.msgtype for c in reader.connections}
+    if (kind := {name.strip("/"): of for name, of in kinds.items()}.get(topic.strip("/"))) is None:
+        raise DataError.at(path, f"no topic {topic}; it has {', '.join(sorted(kinds))}")
+    rows: list[dict[str, float]] = []
+    with opened(path, frozenset({kind})) as reader:
+        if kind not in reader.typestore.fielddefs:
+            what = f"{topic}: the bag does not define {kind}; where it is installed, ros2 bag convert to mcap adds it"
+            raise DataError.at(path, what)
+        for c, recorded, raw in reader.messages(
+            [c for c in reader.connections if c.topic.strip("/") == topic.strip("/")]
+        ):
+            message = reader.deserialize(raw, c.msgtype)
+            rows.append({"t": stamp_of(message, 1e-9 * recorded)} | _numbers(message, ""))
+    names = tuple(dict.fromkeys(name for row in rows for name in row))
+    return names, [tuple(repr(row[name]) if name in row else "" for name in names) for row in rows]
+
+
+def _numbers(value: Any, name: str) -> dict[str, float]:
+    """The numbers of a message, or of a part of it, by field."""
+    if isinstance(value, bool | int | float | np.number):
+        return {name: float(value)}
+    if hasattr(value, "__dataclass_fields__"):
+        fields = {f: getattr(value, f) for f in value.__dataclass_fields__ if f not in ("header", "__msgtype__")}
+        joints = [str(joint) for joint in fields.get("name") or ()] if isinstance(fields.get("name"), list) else []
+        parts = {f"{name}.{f}".lstrip("."): item for f, item in fields.items()}
+        of = {own: len(joints) > 0 and np.shape(item) == (len(joints),) for own, item in parts.items()}
+        each = (
+            {f"{own}.{joint}": v for joint, v in zip(joints, item, strict=True)} if of[own] else {own: item}
+            for own, item in parts.items()
+        )  # fmt: skip
+        return {k: v for some in each for own, item in some.items() for k, v in _numbers(item, own).items()}
+    listed = isinstance(value, list | tuple | np.ndarray) and len(value) <= MOST_LISTED
+    return {k: v for j, item in enumerate(value, 1) for k, v in _numbers(item, f"{name}_{j}").items()} if listed else {}
+
+
+MOST_LISTED = 64  # Most entries of a list in a message that are columns

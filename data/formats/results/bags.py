@@ -36,6 +36,13 @@ def file_and_topic(name: str) -> tuple[Path, str | None]:
     return next(((Path(name[:k]), name[k + 1 :]) for k in cuts if is_bag(Path(name[:k]))), (Path(name), None))
 
 
+def is_table(path: Path, topic: str) -> bool:
+    """Whether a topic of a bag is there, and neither of poses nor of tf."""
+    with opened(path) as reader:
+        kinds = {c.msgtype for c in reader.connections if c.topic.strip("/") == topic.strip("/")}
+    return bool(kinds) and not kinds & {*KINDS, TRANSFORMS, OLD_TRANSFORMS}
+
+
 def read_bag(path: Path, topic: str | None, manner: Manner) -> GivenPath:
     """Poses of a topic, or of the only one, by stamp. UsageError: which topic, or no `rosbags`; DataError: bad data."""
     tree, rows, frames, unstamped = Tree(), list[list[float]](), set[tuple[str, str]](), 0

@@ -20,7 +20,9 @@ from data.csv_table import cut_off, is_number, symmetric
 from data.errors import LARGEST, DataError, UsageError
 from data.formats.arrays import ELEMENT, columns_of, is_arrays
 from data.formats.messages import cut_end, kinds_of, read_lines, runs_of
+from data.formats.recordings.ros import table_of
 from data.formats.results import path as paths
+from data.formats.results.bags import file_and_topic
 from data.formats.results.space import UNIT, known_only, on_plane, rotations, translation_first
 from data.se2 import Array
 
@@ -95,8 +97,9 @@ def split(line: str, separator: str | None) -> tuple[str, ...]:
 
 def read_text(path: Path) -> Text:
     """Split a file at commas or semicolons if its first data line has any, else at blanks; `#`, `%` begin comments."""
-    if is_arrays(path):
-        names, rows = columns_of(path)
+    bag, topic = file_and_topic(str(path))
+    if topic is not None or is_arrays(path):
+        names, rows = columns_of(path) if topic is None else table_of(bag, topic)
         if ELEMENT in names:  # rows below hold what is within an object
             rows = tuple(row for row in rows if not row[names.index(ELEMENT)])
         return Text(path, (names, *rows), tuple(range(len(rows) + 1)), (), True, {})

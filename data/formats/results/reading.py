@@ -19,7 +19,7 @@ from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean
 from data.formats.messages import kinds_of, runs_of, whole_names
 from data.formats.results import lines, path as paths
-from data.formats.results.bags import file_and_topic, is_bag, read_bag
+from data.formats.results.bags import file_and_topic, is_bag, is_table, read_bag
 from data.formats.results.lines import BLOCKS, ENTRIES, ENTRIES_6, EUROC, POSE, TRIANGLE, UNSTAMPED, Text
 from data.formats.results.path import ABSENT, DATES, DIGITS, LOCAL, MIXED, ROWS, WORLD, GivenPath, Manner, Stated
 from data.formats.results.space import UNIT, full, known_only, require_covariances
@@ -600,12 +600,13 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
             raise UsageError(f"--unit {ISO}: {name} has no dates as in {EXAMPLE}")
         return found
     path, topic = file_and_topic(name)
-    if is_bag(path):
+    table = topic is not None and is_table(path, topic)
+    if is_bag(path) and not table:
         found, cov = read_bag(path, topic, manner), False
-    elif path.is_dir():
+    elif path.is_dir() and not table:
         raise DataError.at(path, "a folder; a result is a file, or the folder of a run with online.csv or final.csv")
     else:
-        text = lines.in_rows(lines.read_text(path), named=bool(manner.columns))
+        text = lines.in_rows(lines.read_text(Path(name)), named=bool(manner.columns))
         if text.cut.startswith(lines.COLMAP) and not (manner.axes or manner.inverse):
             manner = replace(manner, inverse=paths.INVERSE[0])
         text = _without_words(text if manner.columns.keys() - {"t"} else lines.in_names(text), manner)

@@ -27,6 +27,7 @@ from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import ELEMENT, WIDE, columns_of, is_arrays, solids
 from data.formats.messages import LISTED, cut_end, kinds_of, parts_of, read_lines, whole_names
+from data.formats.recordings.ros import table_of
 from data.formats.results.bags import file_and_topic
 from data.formats.results.reading import RATES, REFERENCE, TRUE, role_of, topics_in, words_of
 from data.inputs import IntArray
@@ -174,8 +175,6 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
         return _joined(path, parts)
     bag, topic = file_and_topic(str(path))
     if topic is not None:
-        from data.formats.bags import table_of
-
         columns, messages = table_of(bag, topic)
         return TextTable(path, columns, tuple(messages), np.arange(1, len(messages) + 1), named=True)
     if is_arrays(path):

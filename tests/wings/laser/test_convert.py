@@ -15,15 +15,8 @@ from data.worlds.registry import named_log
 from eval.referee.relations import errors
 from eval.replay.run import compare
 from eval.replay.settings import Setup
-from wings.laser.slam.key_log import (
-    ODOMETRY,
-    SCAN_MATCH,
-    key_log,
-    log_of_keys,
-    relations_at_keys,
-    true_inliers,
-    wheels_between,
-)
+from wings.laser.key_poses import log_of_keys, relations_at_keys, true_inliers
+from wings.laser.slam.key_log import ODOMETRY, SCAN_MATCH, key_log, wheels_between
 
 SETUP = Setup()
 

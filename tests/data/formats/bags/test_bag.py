@@ -14,6 +14,8 @@ from data import se2
 from data.convert.__main__ import main
 from data.formats.bags import FLAT_BOXES, TAGS, detections
 from data.formats.open_log import load_folder
+from data.formats.results.path import Manner
+from data.formats.results.reading import read_path
 from data.log import Log
 from data.pose_measurements import FixKind
 from data.sensors import Bearing, Range, RangeBearing, RelativePoint
@@ -276,6 +278,10 @@ def test_numbers_of_a_topic_are_a_table(maker, convert, tmp_path, kind, names):
             rows.execute("delete from message_definitions")
     said = convert({}, "table", f"{bag}:/other", "out", status=2)
     assert ("does not define nav_msgs/msg/GridCells" in said) == (kind == JOINTS)
+    columns = {role: pair.partition("=")[2] for role, pair in zip("xy", names.split(","), strict=True)}
+    assert read_path(f"{bag}:/wheels", Manner(columns=columns)).pose[:, :2] == pytest.approx(
+        np.tile([0.5, 0.2], (9, 1))
+    )
     names += ",truth.x=pose.pose.position.x,truth.y=pose.pose.position.y"
     log, _ = convert({}, "table", f"{bag}:/wheels", "out", "--truth", f"{bag}:/odom", "--columns", names)
     step = float(np.diff(TIMES)[0])
