@@ -45,9 +45,8 @@ POSES, MARKERS = "geometry_msgs/msg/PoseArray", "visualization_msgs/msg/MarkerAr
 CAMERA = "sensor_msgs/msg/CameraInfo"
 BOXES, FLAT_BOXES = "vision_msgs/msg/Detection3DArray", "vision_msgs/msg/Detection2DArray"
 TAGS, FLAT_TAGS = "apriltag_ros/msg/AprilTagDetectionArray", "apriltag_msgs/msg/AprilTagDetectionArray"
-TABLES = ("sensor_msgs/msg/JointState", "sensor_msgs/msg/Range", "geometry_msgs/msg/Twist")
-STANDARD = frozenset({POSITION, INERTIAL, POSE, *PLACES, POSES, MARKERS, CAMERA, *TABLES})
-"""Types that a bag need not define, besides those of a laser log; some are read as tables alone."""
+STANDARD = frozenset({POSITION, INERTIAL, POSE, *PLACES, POSES, MARKERS, CAMERA})
+"""Types that a bag need not define, besides those of a laser log."""
 
 
 class Role(StrEnum):

@@ -228,9 +228,8 @@ def table_of(path: Path, topic: str) -> tuple[tuple[str, ...], list[tuple[str, .
         if kind not in reader.typestore.fielddefs:
             what = f"{topic}: the bag does not define {kind}; where it is installed, ros2 bag convert to mcap adds it"
             raise DataError.at(path, what)
-        for c, recorded, raw in reader.messages(
-            [c for c in reader.connections if c.topic.strip("/") == topic.strip("/")]
-        ):
+        wanted = [c for c in reader.connections if c.topic.strip("/") == topic.strip("/")]
+        for c, recorded, raw in reader.messages(wanted):
             message = reader.deserialize(raw, c.msgtype)
             rows.append({"t": stamp_of(message, 1e-9 * recorded)} | _numbers(message, ""))
     names = tuple(dict.fromkeys(name for row in rows for name in row))

@@ -48,7 +48,7 @@ def _named(description: Any) -> set[str]:
 
 
 def any_reader(files: list[Path], names: set[str]) -> Any:
-    """The library's reader of a bag's files, not yet open; `names`: types to define if the bag does not, where known."""
+    """The library's reader of a bag's files, not yet open; `names`: types to define if the bag does not, if known."""
     # A store of these types and their parts; one of all types would take seconds and megabytes.
     turtle = get_types_from_msg("float32 x\nfloat32 y\nfloat32 theta\nfloat32 v\nfloat32 w", "turtlesim/msg/Pose")
     every, found = get_typestore(Stores.LATEST).fielddefs | turtle, dict[str, Any]()
