@@ -73,8 +73,7 @@ def truncated_square(threshold: float, dof: int = 2) -> tuple[float, float]:
         return float(dof), 2.0 * dof
     inside = chdtr(dof, threshold)
     mean = dof * chdtr(dof + 2, threshold) / inside
-    square = dof * (dof + 2) * chdtr(dof + 4, threshold) / inside
-    return float(mean), float(square - mean**2)
+    return float(mean), float(dof * (dof + 2) * chdtr(dof + 4, threshold) / inside - mean**2)
 
 
 def accepted_moments(S: Array, gates: Acceptance, turn: int, measures: tuple[int, ...] = (0, 1)) -> tuple[float, float]:

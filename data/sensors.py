@@ -224,7 +224,7 @@ class Sensor:
 
     kind: ClassVar[int]
     name: ClassVar[str]
-    units: ClassVar[tuple[str, str]]
+    units: ClassVar[tuple[str, str]] = ("m", "rad")
     sees_points: ClassVar[bool] = True  # Whether landmarks are points (x, y); else walls (rho, alpha)
     errors: ClassVar[tuple[str, ...]] = ("range", "bearing")
     """Systematic errors of the sensor (`data.inputs.ERRORS`) that can be estimated."""
@@ -313,7 +313,6 @@ class RangeBearing(Sensor):
 
     kind = RANGE_BEARING
     name = "range_bearing"
-    units = ("m", "rad")
 
 
 class RelativePoint(Sensor):
@@ -329,7 +328,6 @@ class Line(Sensor):
 
     kind = LINE
     name = "line"
-    units = ("m", "rad")
     sees_points = False
     errors = ()
 
@@ -352,7 +350,6 @@ class Bearing(Sensor):
 
     kind = BEARING
     name = "bearing"
-    units = ("m", "rad")
     measures = (1,)
 
 
@@ -361,7 +358,6 @@ class Range(Sensor):
 
     kind = RANGE
     name = "range"
-    units = ("m", "rad")
     measures = (0,)
 
 

@@ -131,8 +131,7 @@ class Observed:
         if self._errors is None:
             return plain
         self._plain.update(enumerate(plain, row))
-        observed = seen, frames, number, at, row
-        return pinned_landmark_factors(self._errors, self.sensor, *observed, end.b)
+        return pinned_landmark_factors(self._errors, self.sensor, seen, frames, number, at, row, end.b)
 
     @property
     def joined(self) -> IntArray:

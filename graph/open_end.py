@@ -86,8 +86,7 @@ def pinned_landmark_factors(
         point = errors.zero(errors.keys(0)[:1])
         point.insert(s.key, zero[i])
         terms = [(s.key, np.eye(2) / PINNED), *errors.terms(-J[i] / PINNED * errors.sigma, 0)[:1]]
-        pin = linear_factor(terms, np.zeros(2), point)
-        result.append(replace(s, number=int(number[i]), pin=pin, xy=there[i]))
+        result.append(replace(s, number=int(number[i]), pin=linear_factor(terms, np.zeros(2), point), xy=there[i]))
     return result
 
 

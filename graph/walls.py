@@ -44,8 +44,7 @@ def line_factors(
             factor = gtsam.CustomFactor(model, keys, _error(sensor, z[i], keys, point, None))
             result.append(factors.ObservationFactors(f, n, L(n), [factor]))
         else:
-            line = about(known[i], point)[0]
-            factor = gtsam.CustomFactor(model, [X(f)], _error(sensor, z[i], [X(f)], point, line))
+            factor = gtsam.CustomFactor(model, [X(f)], _error(sensor, z[i], [X(f)], point, about(known[i], point)[0]))
             result.append(factors.ObservationFactors(f, n, None, [factor], xy=known[i]))
     return result
 

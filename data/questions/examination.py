@@ -633,8 +633,7 @@ def _in_part(c: Case) -> list[Explained]:
         if not any(f is not None for fits in x.said.values() for f in fits):
             return []
         if not x.sound:
-            span = (float(c.time[0]), middle) if before else (middle, float(c.time[-1]))
-            wrong.append((half, span))
+            wrong.append((half, (float(c.time[0]), middle) if before else (middle, float(c.time[-1]))))
     if len(wrong) != 1:
         return []
     half, span = wrong[0]

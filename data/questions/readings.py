@@ -258,8 +258,7 @@ def frame_of(c: Case, rows: IntArray) -> Array | None:
     if fine.sum() < FEWEST:
         return None
     rows = rows[fine]
-    points = pose[rows, :2] + witnesses.rotated(pose[rows, 2], c.points(rows, pose[rows, 2]))
-    return rigid_fit(points, place[fine])
+    return rigid_fit(pose[rows, :2] + witnesses.rotated(pose[rows, 2], c.points(rows, pose[rows, 2])), place[fine])
 
 
 READINGS: tuple[Reading, ...] = (

@@ -173,8 +173,7 @@ def along_path(s: Series) -> tuple[Array, Array]:
     usable = np.flatnonzero(np.isfinite(t.pose).all(axis=1) & np.isfinite(t.covariance).all(axis=(1, 2)))
     if len(usable) == 0:
         return np.empty((0, 2)), np.empty((0, 2, 2))
-    steps = np.linspace(0, len(usable) - 1, ELLIPSES_ALONG_PATH + 1)[1:]
-    places = usable[np.unique(np.round(steps).astype(int))]
+    places = usable[np.unique(np.rint(np.linspace(0, len(usable) - 1, ELLIPSES_ALONG_PATH + 1)[1:]).astype(int))]
     return t.pose[places, :2], t.covariance[places, :2, :2]
 
 

@@ -192,8 +192,7 @@ if TYPE_CHECKING:
     from matplotlib.typing import RcKeyType  # not in matplotlib 3.10
 
 TRUTH_COLOUR = "#000000"
-BAND_COLOUR = "#C8C8C8"
-BAND: dict[str, Any] = {"color": BAND_COLOUR, "alpha": 0.45, "linewidth": 0.0}  # where something is expected to be
+BAND: dict[str, Any] = {"color": "#C8C8C8", "alpha": 0.45, "linewidth": 0.0}  # where something is expected to be
 
 RC: dict[RcKeyType, Any] = {
     "font.family": ["DejaVu Sans"],  # comes with matplotlib, so a figure does not depend on the machine's fonts

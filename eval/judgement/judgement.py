@@ -269,8 +269,7 @@ def judge(trial: Trial, scores: Scores | None = None, diagnoses: Sequence[Trust]
     related: dict[tuple[str, str, str], float] = {}  # mean errors against all reference relations, tied by row
     for r in reversed(rows_of(scores.relations)) if trial.log.truth.relations is not None else ():
         if (r["log"], r["tie"], r["subset"]) == (trial.log.name, "row", "all"):
-            key = str(r["estimator"]), str(r["association"]), str(r["phase"])
-            related[key] = value_of(r, "trans_mean_m")
+            related[str(r["estimator"]), str(r["association"]), str(r["phase"])] = value_of(r, "trans_mean_m")
     idle, measured = trial.unused.keys(), _measured(trial)
     runs = judged_runs(metrics, outcomes, measured=measured, related=related, idle=idle, diagnoses=own)
     return judgement_of(trial, runs, differences, next(iter(of_trial(trial, own)), None))

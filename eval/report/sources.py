@@ -45,8 +45,7 @@ def source_section(folder: Path, output: Output, trial: Trial, scores: Scores, s
     bounds = [(value_of(s, "nis_low"), value_of(s, "nis_high")) for s in facts]
     made = [s | {"bounds": interval(*b) if math.isfinite(b[0]) else None} for s, b in zip(facts, bounds, strict=True)]
     shown = drop_blank_columns(pd.DataFrame(made, dtype=object)[list(COLUMNS)].rename(columns=COLUMNS))
-    asking = of_runs(n for n in said if "source" in n.named)
-    words = say("sources#about", sources=main_sources(facts), asking=asking)
+    words = say("sources#about", sources=main_sources(facts), asking=of_runs(n for n in said if "source" in n.named))
     caption = paragraph("sources#caption", where=where, truth=any(s["tp"] is not None for s in facts))
     blocks = (words, written_table(shown, folder, stem(trial, "sources"), caption, output))
     return [Section(f"Fixes and closures: {where}", blocks, 3, tuple(facts))]

@@ -99,8 +99,7 @@ def say(template: str, facts: object = None, **more: Any) -> str:
     name, _, macro = template.partition("#")
     known = {f.name: getattr(facts, f.name) for f in fields(facts)} if is_dataclass(facts) else {}
     found = environment().get_template(f"{name}.md.j2")
-    text = getattr(found.module, macro)(**known, **more) if macro else found.render(**known, **more)
-    return str(text).strip()
+    return str(getattr(found.module, macro)(**known, **more) if macro else found.render(**known, **more)).strip()
 
 
 def paragraph(template: str, facts: object = None, **more: Any) -> str:

@@ -205,8 +205,7 @@ def _scenario(top: TomlTable, setup: Setup, source: str, stem: str) -> Scenario:
     maker, kind, values = _maker(top), OWN, tuple[tuple[str, object], ...]()
     if not maker:
         world = top.table_of("world", _world_keys(top))
-        kind = world.one_of("kind", SIMULATORS)
-        values = parameters(world, kind)
+        values = parameters(world, kind := world.one_of("kind", SIMULATORS))
     # names of ours, of installed packages, and possibly foreign ones, which `_member` settles
     stated, added = top.table.get("estimators"), entry_points("estimator")
     theirs = [key for key in (stated if isinstance(stated, dict) else ()) if is_foreign(key) or key in added]

@@ -59,8 +59,7 @@ def variables_of(keys: Sequence[int], frames: int, numbers: IntArray) -> tuple[I
     """Variables (k,) of keys of poses and landmarks, -1: a known landmark; which are poses."""
     symbols = np.array(keys, np.uint64)
     index, pose = (symbols & INDEX).astype(np.int64), symbols >> np.uint64(56) == ord("x")
-    landmark = frames + np.searchsorted(numbers, index) if len(numbers) else -1
-    return np.where(pose, index, landmark), pose
+    return np.where(pose, index, frames + np.searchsorted(numbers, index) if len(numbers) else -1), pose
 
 
 class Linearizer:

@@ -244,8 +244,7 @@ def simulate(g: Gallery, seed: int, name: str | None = None) -> Log:
             z.append(seen.points[:, [0, 2]] + noise[k, seen.picture])
     R = np.tile(np.diag([g.sigma_x**2, g.sigma_z**2]), (len(frame), 1, 1))
     observations = Observations(np.array(frame, np.int64), np.concatenate([np.empty((0, 2)), *z]), R)
-    sigma = g.sigma_v, g.sigma_omega
-    inputs = inputs_of(scene.setup, scene.time, scene.recorded, observations, g.sensor(), sigma)
+    inputs = inputs_of(scene.setup, scene.time, scene.recorded, observations, g.sensor(), (g.sigma_v, g.sigma_omega))
     source = {"kind": "visual", "seed": seed, "gallery": asdict(g)}
     return Log(name or f"visual:{seed}", inputs, Truth(scene.pose, inputs.map, np.array(ids, np.int64)), source=source)
 

@@ -102,8 +102,7 @@ def team_logs(source: Path) -> list[Log]:
     seen, clocks = [], [log.clock for log in logs]
     for log, (_, robots) in zip(logs, split, strict=True):
         ticks, wanted = (np.rint(1e6 * t) for t in (log.recorded.time + log.clock, robots.at))
-        R = treatment.calibration.noise(robots.z)
-        seen.append((np.searchsorted(ticks, wanted), robots.z, R, robots.seen))
+        seen.append((np.searchsorted(ticks, wanted), robots.z, treatment.calibration.noise(robots.z), robots.seen))
     members, labels = [log.recorded for log in logs], [np.asarray(log.granted) for log in logs]  # barcodes
     team = team_of(true, members, labels, clocks, seen, sensed=True)
     left = [robot for robot in there if robot not in true]

@@ -236,8 +236,7 @@ class TeamFilter:
         nu, both = sensor.residual(z, z_hat), []
         for own, other, H, G in ((at_a, at_b, Hx, Hb), (at_b, at_a, Hb, Hx)):
             P, Q = self.P[own, own], G @ self.P[other, other] @ G.T
-            fuse = intersected if self.exchange == "intersection" else independent
-            both.append((own, *fuse(P, H, Q, R)))
+            both.append((own, *(intersected if self.exchange == "intersection" else independent)(P, H, Q, R)))
         for own, K, P in both:
             self.mean[own] += K @ nu
             self.mean[own.stop - 1] = wrap_angle(self.mean[own.stop - 1])

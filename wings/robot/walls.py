@@ -72,8 +72,7 @@ def fit_weighted(sensors: Array, ranges: Array, sigma: float = SIGMA) -> Line:
     rho, alpha = _repeated_median(sensors, ranges)
     scale = NORMAL_MEDIAN * float(np.median(np.abs(_distances(sensors, ranges, rho, alpha))))
     for _ in range(ITERATIONS):
-        d = _distances(sensors, ranges, rho, alpha)
-        weights = np.exp(-((d / (WELSCH * max(scale, sigma))) ** 2))
+        weights = np.exp(-((_distances(sensors, ranges, rho, alpha) / (WELSCH * max(scale, sigma))) ** 2))
         if weights.sum() < 1.0:  # not a line
             break
         before = rho, alpha
@@ -110,8 +109,7 @@ def fit_author(sensors: Array, ranges: Array, sigma: float = SIGMA) -> Line:
     return Line(abs(b) * c, math.atan2(side, -side * m), cov, weights, d)
 
 
-Fit = Callable[[Array, Array, float], Line]
-FITS: dict[str, Fit] = {"weighted": fit_weighted, "author": fit_author}
+FITS: dict[str, Callable[[Array, Array, float], Line]] = {"weighted": fit_weighted, "author": fit_author}
 """Ways to fit a wall, by name: with weights that find outliers, and the robot author's."""
 USUAL_FIT = "weighted"
 

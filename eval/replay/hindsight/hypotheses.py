@@ -97,8 +97,7 @@ class DetectionRates:
         """
         sigma = SIGMAS * np.sqrt(HPHt[:, [0, 1], [0, 1]])
         inside = np.flatnonzero(self.sensor.in_view(z_hat, margin_range=-sigma[:, 0], margin_angle=self._edge(sigma)))
-        distance = self.sensor.polar(z_hat[inside])[:, 0]
-        return inside, np.minimum((distance / reach * BINS).astype(np.int64), BINS - 1)
+        return inside, np.minimum((self.sensor.polar(z_hat[inside])[:, 0] / reach * BINS).astype(np.int64), BINS - 1)
 
     def in_view(self, z_hat: Array, HPHt: Array, reach: float) -> tuple[Array, IntArray]:
         """Probability (n,) that landmarks of expected measurements (n, 2) and covariances (n, 2, 2) are in view, as if

@@ -287,8 +287,7 @@ class UncertainMotion:
         sensor, s = self.ledger.sensor, self.setup
         if e.elsewhere is None or not too_uncertain(e, sensor, self._motion):
             return None
-        strays = 1.0 - detection_rate(*self._explained)
-        memory = Memory(self._seen_from, self.ledger.rates(e.number), strays)
+        memory = Memory(self._seen_from, self.ledger.rates(e.number), 1.0 - detection_rate(*self._explained))
         found = place(e, sensor, predicted, self._motion, memory, s.gate, s.new_gate)
         if found is not None:
             self.placed += 1

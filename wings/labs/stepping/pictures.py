@@ -94,8 +94,7 @@ def robot_axes(ax: Axes, left: bool = True, bottom: bool = True) -> None:
 def called(name: str, others: Sequence[str] = ()) -> str:
     """The title of a method's panel; its name where another panel has the same title."""
     title = TITLES.get(name, name)
-    same = [n for n in (*others, name) if TITLES.get(n, n) == title]
-    return name if len(set(same)) > 1 else title
+    return name if len({n for n in (*others, name) if TITLES.get(n, n) == title}) > 1 else title
 
 
 @dataclass(frozen=True, eq=False)
