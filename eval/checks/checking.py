@@ -64,6 +64,9 @@ def association_findings(association: str | Callable[..., Any]) -> list[Finding]
 
     Raises:
         UsageError: it cannot be loaded, or decides over several frames.
+
+    Example:
+        >>> [f.line for f in slamref.association_findings("jcbb")]
     """
     text = _text(association, "association")
     if is_foreign(text):
@@ -95,6 +98,10 @@ def check_association(association: str | Callable[..., Any]) -> None:
 
     Raises:
         CheckError: an AssertionError with a sentence for each failed check.
+
+    Example:
+        >>> def test_mine():
+        ...     slamref.check_association(my_method)
     """
     _judge(association, association_findings(association))
 

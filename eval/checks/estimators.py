@@ -52,12 +52,12 @@ def completed(text: str, inputs: Inputs, task: str, where: str = "", setup: Setu
 
 
 @check("runs")
-def runs(text: str, task: str) -> Iterator[str]:
+def runs(text: str, task: str) -> Iterator[Finding]:
     """It completes an ordinary log."""
     inputs = inputs_for(worlds.arena_log(), task)
     path, ours = (completed(name, inputs, task)[1] for name in (text, "ekf"))
     far = off(path.pose, ours.pose, ours.covariance)
-    yield f"{worlds.FRAMES} frames of an ordinary log, at most {far:.2g} sigma from our EKF"
+    yield graded("runs", far, "our EKF's path of an ordinary log, in which bearings cross pi,")
 
 
 @check("noise-free input")

@@ -77,9 +77,9 @@ class Scale(NamedTuple):
         """Whether the residuals do not tell how small the component is."""
         return self.value < min(self.error, 1.0)
 
-    def told(self) -> tuple[bool, bool, float]:
-        """Grows with what there is to tell."""
-        return not self.vanishes, not self.vague, float(abs(np.log(self.sigma)))
+    def told(self, large: bool) -> tuple[bool, bool, bool, float]:
+        """Grows with what there is to tell where all residuals together are too `large`, or small."""
+        return not self.vanishes, not self.vague, (self.value > 1.0) == large, float(abs(np.log(self.sigma)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,7 +336,7 @@ def _facts(report: AuditReport) -> SimpleNamespace:
         scaled=tuple(dict.fromkeys(s.kind for s in scaled)),
         # kinds whose noise nobody stated, and what their residuals ask for
         assumed=a.kinds.assumed, asked=tuple(s for s in asked if s.error < s.value),
-        component=max(scaled, key=Scale.told, default=None),
+        component=max(scaled, key=lambda s: s.told(factors["chi2"].sum() > a.freedom), default=None),
         worst=None
         if explained or alike or most or first.empty
         else _in_words(first.iloc[0], first.index[0], beside=a.beside[first.index[0]]),
@@ -349,6 +349,7 @@ def _facts(report: AuditReport) -> SimpleNamespace:
         # name, directions, whether it moves, and turns, and the number of the one factor that ties it, or -1
         loose=tuple((name(a.f.system.keys[f[0]]), *f[1:], only[f[0]]) for f in a.condition.loose),
         unused=tuple(map(name, a.unused)), parts=a.condition.parts,
+        points=sum(key >> 56 == ord("l") for key in a.f.system.keys),
         duplicates=tuple(f"{i} and {j}" for i, j in a.condition.duplicates),
         ignored=int((factors["weight"] < 1.0).sum()),
         zero=tuple(str(k) for k, zero in zip(kinds.index, a.by_kind.zero, strict=True) if zero),

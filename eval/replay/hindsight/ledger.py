@@ -329,7 +329,8 @@ class Ledger:
         for row, n in enumerate(found.number.tolist()):
             before, new = former.get(row, (-1, DISCARD)), DISCARD
             if n >= 0:
-                self.records[n].observations.append((row, NEW if row == first[n] else n))
+                new = NEW if row == first[n] else n
+                self.records[n].observations.append((row, new))
             if before == (n, new) or before[1] == new == DISCARD:
                 continue
             steps = [before[1], *([n] if new == NEW and before[1] != n else []), new]
