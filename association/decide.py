@@ -46,8 +46,7 @@ def horizon(
         # the tail of a distance with misread classes is at most as many times that of the plain one
         return gate_threshold(p if p is None or classes == 1 else 1.0 - (1.0 - p) / classes, dof)
 
-    outer = 0.0 if known_map or method == OWN_NEWNESS else reach(new_gate)
-    return max(RATIO * max(ALPHA, reach(gate)), outer)
+    return max(RATIO * max(ALPHA, reach(gate)), 0.0 if known_map or method == OWN_NEWNESS else reach(new_gate))
 
 
 def decide(

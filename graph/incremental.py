@@ -423,8 +423,7 @@ class Isam2Smoother:
             xy, joint = self._engine.points(number.tolist()), self._joint(number)
         e = form(self.sensor, self._end.mean, joint, number, xy, observations, at)
         nu, R = self.sensor.residual(observations.z[rows], e.z_hat[which]), observations.R[rows]
-        distance = np.einsum("mi,mi->m", nu, np.linalg.solve(e.HPHt[which] + R, nu[..., None])[..., 0])
-        keep = distance < threshold
+        keep = np.einsum("mi,mi->m", nu, np.linalg.solve(e.HPHt[which] + R, nu[..., None])[..., 0]) < threshold
         used[rows[~keep]] = False
         return e.innovation_statistics(rows[keep], which[keep])
 
@@ -456,8 +455,7 @@ class Isam2Smoother:
     ) -> None:  # fmt: skip
         """Give factors to the engine; those of a landmark, or of a frame in a known map, can be removed again."""
         add = self._engine.add_from if again else self._engine.add
-        handles = add([*motion, *self._observed.add(seen, values, late=late)], values)
-        self._observed.hold(seen, handles[len(motion) :])
+        self._observed.hold(seen, add([*motion, *self._observed.add(seen, values, late=late)], values)[len(motion) :])
 
     def fix(self, fixes: Fixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
         """Add the fixes of the newest pose that are inside the gate. Raises UsageError beside errors of the sensor."""

@@ -763,8 +763,7 @@ def _expectations(given: State, right: State) -> dict[Quantity, float]:
     g, r = given.expected, right.expected
     assert g is not None
     assert r is not None
-    paired = given.decisions[given.decisions >= 0]
-    strange = len(np.setdiff1d(paired, g.number)) + len(np.setdiff1d(g.number, r.number))
+    strange = len(np.setdiff1d(given.decisions[given.decisions >= 0], g.number)) + len(np.setdiff1d(g.number, r.number))
     noise = 0.5 * (g.R - r.R) / _outer(np.sqrt(np.einsum("nii->ni", r.R)))
     found = {Quantity.CANDIDATES: float(strange), Quantity.NOISE: _size(noise)}
     both, mine, theirs = np.intersect1d(g.number, r.number, return_indices=True)

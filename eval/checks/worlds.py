@@ -67,15 +67,13 @@ def small(world: str) -> Inputs:
     P0 = _covariances(rng, sigma, 1)
     frame, label = [], []
     for k in (k for k in range(n) if k not in EMPTY):
-        away = np.hypot(*(xy - pose[k, :2]).T)
-        ids = rng.permutation(known.id[away < w.size * (3.2 if k < 5 else 4.6)])[:5].tolist()
+        ids = rng.permutation(known.id[np.hypot(*(xy - pose[k, :2]).T) < w.size * (3.2 if k < 5 else 4.6)])[:5].tolist()
         ids += [i for i in known.id[[row for row, _ in BEHIND]].tolist() if k > 5 and i not in ids]
         ids += [CLUTTER] if k % 4 == 3 else []
         label += ids
         frame += [k] * len(ids)
     R = _covariances(rng, np.array(w.seen), len(frame))
-    truly = known.positions(np.where(np.array(label) >= 0, label, known.id[0]))
-    z = sensor.predict(pose[frame], truly) + drawn(rng, R)
+    z = sensor.predict(pose[frame], known.positions(np.where(np.array(label) >= 0, label, known.id[0]))) + drawn(rng, R)
     if world == MILD:
         z[:, 1] = wrap_angle(z[:, 1])
     z[np.array(label) == CLUTTER] += 0.7 * w.size * np.array([1.0, 0.1])

@@ -117,8 +117,7 @@ def _with_twins(
         kept |= cached(jobs, sampled.load, sampled.save, options.execution, missing, progress)
     judgements = []
     for i, (group, sample, smoother) in enumerate(real):
-        arguments = (group.log, group.task, name_of(group.association), sample, own(i), smoother)
-        judgements.append(Job(i, judged, arguments))
+        judgements.append(Job(i, judged, (group.log, group.task, name_of(group.association), sample, own(i), smoother)))
     result = dict(work(judgements, options.execution))
     if 0 < count < FEWEST:
         few = notice(Code.TOO_FEW_TWINS, twins=count, least=FEWEST)

@@ -44,8 +44,7 @@ def share_interval(hits: int, n: int) -> tuple[float, float]:
     """Exact interval of a share with `hits` in n (Clopper and Pearson, Biometrika 26, 1934)."""
     tail = 0.5 * (1.0 - LEVEL)
     lower = float(special.betaincinv(hits, n - hits + 1, tail)) if hits else 0.0
-    upper = float(special.betaincinv(hits + 1, n - hits, 1.0 - tail)) if hits < n else 1.0
-    return lower, upper
+    return lower, (float(special.betaincinv(hits + 1, n - hits, 1.0 - tail)) if hits < n else 1.0)
 
 
 def anees_band(dof: int, runs: int) -> tuple[float, float]:

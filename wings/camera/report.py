@@ -236,8 +236,7 @@ def _plan(folder: Path, trial: Trial, factor: int | None) -> Picture:
     log, drawn, name = trial.log, for_map(trial), stem(trial, "plan")
     assert log.evidence is not None  # `visual_sections` asks for the plan of no other log
     factor = enlarged(log, drawn, factor)
-    draw = partial(plan_figure, log, drawn, log.evidence.setup.corners, factor=factor)
-    save_for_page(draw, folder / "figures", name)
+    save_for_page(partial(plan_figure, log, drawn, log.evidence.setup.corners, factor=factor), folder / "figures", name)
     known = bool(log.truth.known_poses)
     caption = say("visual#plan", log=log.name, task=trial.task, known=known, factor=factor) + left_out(trial, drawn)
     paths = ", ".join(r.estimator for r in drawn)

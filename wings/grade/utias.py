@@ -78,8 +78,7 @@ def corrected(pose: Array, P: Array, landmark: Array, z: Array, R: Array, rules:
 def likeliest(pose: Array, P: Array, landmarks: Array, z: Array, R: Array, rules: Rules = RIGHT, f: Any = ml) -> Answer:
     """The row of the landmark (n, 2) that an observation is of, by maximum likelihood."""
     e = kalman(pose, P, landmarks, rules).expect(FrameObservations(z[None], R[None]))
-    of = Expectation.from_arrays(z[None], e.z_hat, e.joint, rules.R(R[None]), SENSOR.residual)
-    return (np.asarray(f(of, None)),)
+    return (np.asarray(f(Expectation.from_arrays(z[None], e.z_hat, e.joint, rules.R(R[None]), SENSOR.residual), None)),)
 
 
 def initialized(pose: Array, P: Array, z: Array, R: Array, rules: Rules = RIGHT) -> Answer:

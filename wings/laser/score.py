@@ -149,8 +149,7 @@ def unobserved(run: LaserRun, inputs: Inputs) -> Notice | None:
     if inputs.scans is None or run.loose is None:
         return None
     loose = run.loose[inputs.scans.frame]
-    ends = np.flatnonzero(np.diff(loose, prepend=False, append=False)).reshape(-1, 2)
-    longest = int(np.diff(ends).max(initial=0))
+    longest = int(np.diff(np.flatnonzero(np.diff(loose, prepend=False, append=False)).reshape(-1, 2)).max(initial=0))
     if longest <= LONGEST:
         return None
     code = Code.WAY_UNOBSERVED if is_unknown(inputs.increments) else Code.WAY_BY_ODOMETRY

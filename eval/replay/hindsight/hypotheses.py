@@ -230,8 +230,7 @@ class Hypotheses:
         """Expected measurements (n, 2) of all landmarks and their covariances (n, 2, 2)."""
         n = len(self._xy)
         z_hat, HPHt = np.empty((n, 2)), np.empty((n, 2, 2))
-        seen = self.sensor.kind, self._extrinsic
-        kernels.expect(*seen, h.mean, h.P, self._at, self._xy, z_hat, HPHt, kernels.NEWEST)
+        kernels.expect(self.sensor.kind, self._extrinsic, h.mean, h.P, self._at, self._xy, z_hat, HPHt, kernels.NEWEST)
         if self.map.sigma is not None:
             absent = np.flatnonzero(self._at < 0)
             H = self.sensor.jacobians(h.mean[:3], self._xy[absent])[1]

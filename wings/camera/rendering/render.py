@@ -117,8 +117,7 @@ def _poster(canvas: Array, rng: np.random.Generator) -> None:
 def _strata(canvas: Array, rng: np.random.Generator) -> None:
     """Layers of a map: one colour for each height of a random relief."""
     h, w = canvas.shape[:2]
-    level = np.digitize(_fractal(w, h, 9, rng), np.linspace(-2.0, 2.0, 15))
-    canvas[:] = _palette(16, rng)[level]
+    canvas[:] = _palette(16, rng)[np.digitize(_fractal(w, h, 9, rng), np.linspace(-2.0, 2.0, 15))]
 
 
 def _blocks(canvas: Array, rng: np.random.Generator) -> None:
@@ -196,8 +195,7 @@ class Room:
             along = self.shift[wall] + c[:2, :2] @ self.right[wall]
             top, bottom = g.room_height - c[0, 2], g.room_height - c[2, 2]
             first = round((along[0] - FRAME) * d), round((top - FRAME) * d)
-            last = round((along[1] + FRAME) * d), round((bottom + FRAME) * d)
-            cv2.rectangle(walls, first, last, (74, 52, 34), -1)
+            cv2.rectangle(walls, first, (round((along[1] + FRAME) * d), round((bottom + FRAME) * d)), (74, 52, 34), -1)
 
     def look(self, pose: Array) -> View:
         """The view of the robot's camera at pose (3,)."""

@@ -74,8 +74,7 @@ class Ways(Locked):
     def route(self, start: int, goal: int, cost: Array) -> list[int]:
         """Places on the cheapest route from start to goal, both included, by costs (E,)."""
         (i, j), n = self.edge.T.astype(np.int32), len(self.place)  # int32: before SciPy 1.12
-        both = np.concatenate([i, j]), np.concatenate([j, i])
-        graph = scipy.sparse.csr_array((np.tile(cost, 2), both), shape=(n, n))
+        graph = scipy.sparse.csr_array((np.tile(cost, 2), np.block([[i, j], [j, i]])), shape=(n, n))
         _, before = scipy.sparse.csgraph.dijkstra(graph, indices=[start], return_predecessors=True)
         path = [goal]
         while path[-1] != start:
@@ -210,8 +209,7 @@ def build(rng: np.random.Generator) -> Building:
     ways = ways_of(rng, corridors, rooms, doors)
     jambs = [Face(1 - d.axis, end, d.at - HALF_WALL, d.at + HALF_WALL) for d in doors for end in (d.low, d.high)]
     ends = [(f.at, f.low, f.at, f.high) if f.axis == 0 else (f.low, f.at, f.high, f.at) for f in [*faces, *jambs]]
-    standing = _furniture(rng, corridors, rooms, ways.trace())
-    return Building(np.concatenate([np.array(ends), standing]), len(faces), ways)
+    return Building(np.concatenate([np.array(ends), _furniture(rng, corridors, rooms, ways.trace())]), len(faces), ways)
 
 
 def _layout(rng: np.random.Generator) -> tuple[list[Rect], list[Rect]]:

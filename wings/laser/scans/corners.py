@@ -156,8 +156,7 @@ def _meet(one: _Line, two: _Line) -> tuple[Array, Array] | None:
     back = np.linalg.inv(N)
     c = back @ [one.normal @ one.centroid, two.normal @ two.centroid]
     t = [(c - line.centroid) @ (-line.normal[1], line.normal[0]) for line in (one, two)]
-    v = np.array([line.offset + t[i] ** 2 * line.angle for i, line in enumerate((one, two))])
-    return c, (back * v) @ back.T
+    return c, (back * np.array([line.offset + t[i] ** 2 * line.angle for i, line in enumerate((one, two))])) @ back.T
 
 
 def corners_at(scans: Scans, frames: IntArray) -> Observations:
