@@ -427,3 +427,12 @@ def test_matrices_lists_and_a_single_topic_are_poses(scored, form):
     M[..., :2, 3], M[..., 2, 3] = [MINE[:, :2], TRUE[:, :2]], 0.01 * T
     values = scored(*map(POSES[form], M))
     assert (values["rmse_position_3d_m"], values["rmse_rotation_3d_deg"]) == pytest.approx((0.1, 0.0), abs=1e-5)
+
+
+def test_files_side_by_side_are_one_path_and_rows_that_are_left_out_count(scored, tmp_path):
+    turn = exp_rotation(TRUE[:, 2:] * [0.0, 0.0, 1.0]).reshape(-1, 9) * (T[:, None] > 0.0)
+    for name, columns in {"t": T, "pos": TRUE * [1.0, 1.0, 0.0], "att": turn}.items():
+        (tmp_path / f"{name}.csv").write_text(lines_of(columns, separator=","))
+    (tmp_path / "0.csv").write_text(table({name: WHOLE[name] for name in ("x", "y", "theta")}))
+    values = scored.of([f"{tmp_path}/0.csv", f"{tmp_path}/t.csv+pos.csv+att.csv"])
+    assert (values["rmse_position_m"], values["matched"]) == (pytest.approx(0.1), 59)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import chain, pairwise, product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -17,7 +18,7 @@ from data.csv_table import ends_early, is_number, symmetric
 from data.dates import EXAMPLE, IN_SECONDS, ISO, is_date, seconds_of, unit_of
 from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean
-from data.formats.messages import kinds_of, runs_of, whole_names
+from data.formats.messages import kinds_of, parts_of, runs_of, whole_names
 from data.formats.results import lines, path as paths
 from data.formats.results.bags import file_and_topic, is_bag, is_table, read_bag
 from data.formats.results.lines import BLOCKS, ENTRIES, ENTRIES_6, EUROC, POSE, TRIANGLE, UNSTAMPED, Text
@@ -570,6 +571,7 @@ def _planar(
     frame, raw = "" if P is None else WORLD, value["yaw"][keep] if angles is None and manner.angles is None else None
     kind = f"{kind}, {clock.words}"
     path = GivenPath(str(body.path), kind, time[keep], pose[keep], P, frame, notes=notes, clock=clock, headings=raw)
+    path = replace(path, every=time if (np.diff(time) > 0.0).all() else None)
     return paths.without_headings(path) if paths.unturned(path.pose[:, 2], path.pose[:, :2]) else path
 
 
@@ -606,7 +608,7 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
     elif path.is_dir() and not table:
         raise DataError.at(path, "a folder; a result is a file, or the folder of a run with online.csv or final.csv")
     else:
-        text = lines.in_rows(lines.read_text(Path(name)), named=bool(manner.columns))
+        text = lines.in_rows(read_text(Path(name)), named=bool(manner.columns))
         if text.cut.startswith(lines.COLMAP) and not (manner.axes or manner.inverse):
             manner = replace(manner, inverse=paths.INVERSE[0])
         text = _without_words(text if manner.columns.keys() - {"t"} else lines.in_names(text), manner)
@@ -627,6 +629,74 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
         if value is not None and found.covariance is None:
             raise UsageError(f"{flag} {value}: {name} has no covariance")
     return found
+
+
+class Side(NamedTuple):
+    """Names of the columns, rows without those, and whether a header has the names, of one file of several."""
+
+    path: Path
+    names: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    named: bool
+
+
+def side_by_side(path: Path, sides: Sequence[Side]) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], str]:
+    """Names and rows of files side by side, each row of the first with those nearest in time where all have stamps of
+    their own, which is said; columns without names have those of their file. DataError for unequal numbers of rows.
+    """
+    if (nearest := _by_stamp(sides)) is not None:
+        return nearest
+    if len({len(s.rows) for s in sides}) > 1:
+        what = f"files of unequal numbers of rows ({', '.join(f'{s.path.name} {len(s.rows)}' for s in sides)})"
+        raise DataError.at(path, f"{what}; as many in each are needed, or a column of stamps")
+    each = [(s, name, column) for s in sides for name, column in zip(s.names, zip(*s.rows, strict=True), strict=True)]
+    stems = [s.path.stem + name * (len(s.names) > 1) for s, name, _ in each]
+    named = [name if s.named and not name.isdecimal() else o for (s, name, _), o in zip(each, stems, strict=True)]
+    held = dict.fromkeys(zip(named, (column for *_, column in each), strict=True))  # the same stamps once
+    return tuple(name for name, _ in held), tuple(zip(*(column for _, column in held), strict=True)), ""
+
+
+def _by_stamp(sides: Sequence[Side]) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], str] | None:
+    """Rows of the first file, each with the nearest in time of the others; None: one has none, or all are equal."""
+    stamps = [[k for k, name in enumerate(s.names) if s.named and {*words_of(name)[0]} & {*STAMP}] for s in sides]
+    stamps = [[k for k in own if "header" in s.names[k]] or own for s, own in zip(sides, stamps, strict=True)]
+    if not all(len(found) == 1 for found in stamps):
+        return None
+    texts = [[row[k] for row in s.rows] for s, (k,) in zip(sides, stamps, strict=True)]
+    if all(own == texts[0] for own in texts) or not all(map(is_number, chain(*texts))):
+        return None
+    times = [np.array(own, float) for own in texts]
+    if not all((np.diff(time) >= 0.0).all() for time in times):
+        return None
+    first, rows = sides[0], [*map(tuple, sides[0].rows)]
+    names = [*first.names]
+    for side, (own,), time in zip(sides[1:], stamps[1:], times[1:], strict=True):
+        near = np.clip(np.searchsorted(time, times[0]), 1, len(time) - 1)
+        near -= times[0] - time[near - 1] < time[near] - times[0]
+        step = np.median(np.diff(time, prepend=time[0]))
+        there = (time[0] - step <= times[0]) & (times[0] <= time[-1] + step)
+        names += [name for k, name in enumerate(side.names) if k != own]
+        for k, (row, inside) in enumerate(zip(near.tolist(), there.tolist(), strict=True)):
+            fields = tuple(field for j, field in enumerate(side.rows[row]) if j != own)
+            rows[k] = (*rows[k], *(fields if inside else [""] * len(fields)))
+    said = f"beside each row of {first.path.name} those of {', '.join(s.path.name for s in sides[1:])} nearest in time"
+    return tuple(names), tuple(rows), said
+
+
+def read_text(path: Path) -> Text:
+    """The rows of a file, or of those of FIRST+SECOND+... side by side, below their names."""
+    if path.is_dir() or len(parts := parts_of(path)) < 2:
+        return lines.read_text(path)
+    texts, sides = [lines.read_text(part) for part in parts], list[Side]()
+    for text in texts:
+        rows, above = text.fields, [line.strip("#% ") for k, line in text.comments if k < text.line[0]][-1:]
+        heads = [rows[0], *(lines.split(line, "," * text.commas or None) for line in above)]
+        head = next((n for n in heads if 2 * sum(map(is_number, n)) < len(n) == len(rows[0])), ())
+        rows = rows[1:] if head == rows[0] else rows
+        sides.append(Side(text.path, head or [str(k + 1) for k in range(len(rows[0]))], rows, bool(head)))
+    names, below, said = side_by_side(path, sides)
+    line = (texts[0].line[0], *texts[0].line[-len(below) :])
+    return Text(path, (names, *below), line, (), True, {}, "; ".join(filter(None, (said, *(t.cut for t in texts)))))
 
 
 def _without_words(text: Text, manner: Manner) -> Text:
@@ -766,8 +836,7 @@ def holds_both(name: str) -> bool:
         return False
     try:
         found = [
-            header_names(lines.in_names(lines.read_text(Path(name))), Manner(true=side, rows=True))
-            for side in (False, True)
+            header_names(lines.in_names(read_text(Path(name))), Manner(true=side, rows=True)) for side in (False, True)
         ]
     except DataError:  # of several that name a position, which reading it will say
         return True

@@ -81,7 +81,7 @@ def on_plane(spatial: Spatial, manner: Manner) -> GivenPath:
     whole = replace(
         s, time=s.time[keep], position=p, rotation=R, covariance=C, frame=frame, place=place, notes=notes, stated=stated
     )
-    return flattened(whole)
+    return replace(flattened(whole), every=s.time if (np.diff(s.time) > 0.0).all() else None)
 
 
 def flattened(s: Spatial) -> GivenPath:

@@ -29,7 +29,7 @@ from data.formats.arrays import ELEMENT, WIDE, columns_of, is_arrays, solids
 from data.formats.messages import LISTED, cut_end, kinds_of, parts_of, read_lines, whole_names
 from data.formats.recordings.ros import table_of
 from data.formats.results.bags import file_and_topic
-from data.formats.results.reading import RATES, REFERENCE, TRUE, role_of, topics_in, words_of
+from data.formats.results.reading import RATES, REFERENCE, TRUE, Side, role_of, side_by_side, topics_in, words_of
 from data.inputs import IntArray
 from data.notice import Notice
 from data.origin import Origin
@@ -351,50 +351,14 @@ def _by_rows(
 def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
     """One table of files: a folder's one below the other, numbered as `frame`, else side by side."""
     tables = [read_text(part) for part in parts]
-    first, below = tables[0], path.is_dir()
-    if not below and (nearest := _by_stamp(path, tables)) is not None:
-        return nearest
-    if len({len(t.names) if below else len(t) for t in tables}) > 1:
-        what = f"files of unequal numbers of {'columns' if below else 'rows'}; as many in each are needed"
-        raise DataError.at(path, what + ", or a column of stamps" * (not below))
-    if below:
-        names = ["frame", *first.names]
-        rows = tuple((str(k), *row) for k, t in enumerate(tables) for row in t.rows)
-    else:
-        columns = ((t, zip(t.names, zip(*t.rows, strict=True), strict=True)) for t in tables)
-        each = [(t, name, column) for t, own in columns for name, column in own]
-        stems = [t.path.stem + name * (len(t.names) > 1) for t, name, _ in each]
-        named = [name if t.named and not name.isdecimal() else o for (t, name, _), o in zip(each, stems, strict=True)]
-        held = dict.fromkeys(zip(named, (column for *_, column in each), strict=True))  # the same stamps once
-        names, rows = [name for name, _ in held], tuple(zip(*(column for _, column in held), strict=True))
-    return TextTable(path, tuple(names), rows, np.arange(1, len(rows) + 1), named=True)
-
-
-def _by_stamp(path: Path, tables: Sequence[TextTable]) -> TextTable | None:
-    """Rows of the first table, each with the nearest in time of the others; None: one has none, or all are equal."""
-    stamps = [[k for k, name in enumerate(t.names) if t.named and {*words_of(name)[0]} & {*STAMP}] for t in tables]
-    stamps = [[k for k in own if "header" in t.names[k]] or own for t, own in zip(tables, stamps, strict=True)]
-    if not all(len(found) == 1 for found in stamps):
-        return None
-    texts = [[row[k] for row in t.rows] for t, (k,) in zip(tables, stamps, strict=True)]
-    if all(own == texts[0] for own in texts) or not all(map(is_number, itertools.chain(*texts))):
-        return None
-    times = [np.array(own, float) for own in texts]
-    if not all((np.diff(time) >= 0.0).all() for time in times):
-        return None
-    first, rows = tables[0], [*tables[0].rows]
-    names = [*first.names]
-    for table, (own,), time in zip(tables[1:], stamps[1:], times[1:], strict=True):
-        near = np.clip(np.searchsorted(time, times[0]), 1, len(time) - 1)
-        near -= times[0] - time[near - 1] < time[near] - times[0]
-        step = np.median(np.diff(time, prepend=time[0]))
-        there = (time[0] - step <= times[0]) & (times[0] <= time[-1] + step)
-        names += [name for k, name in enumerate(table.names) if k != own]
-        for k, (row, inside) in enumerate(zip(near.tolist(), there.tolist(), strict=True)):
-            fields = tuple(field for j, field in enumerate(table.rows[row]) if j != own)
-            rows[k] = (*rows[k], *(fields if inside else [""] * len(fields)))
-    said = f"beside each row of {first.path.name} those of {', '.join(t.path.name for t in tables[1:])} nearest in time"
-    return replace(first, path=path, names=tuple(names), rows=tuple(rows), cut=said)
+    if not path.is_dir():
+        names, rows, said = side_by_side(path, [Side(t.path, t.names, t.rows, t.named) for t in tables])
+        return TextTable(path, names, rows, tables[0].line, named=True, cut=said)
+    if len({len(t.names) for t in tables}) > 1:
+        raise DataError.at(path, "files of unequal numbers of columns; as many in each are needed")
+    names = ("frame", *tables[0].names)
+    rows = tuple((str(k), *row) for k, t in enumerate(tables) for row in t.rows)
+    return TextTable(path, names, rows, np.arange(1, len(rows) + 1), named=True)
 
 
 def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:

@@ -150,10 +150,12 @@ def same_clock(a: GivenPath, b: GivenPath, name: str, *, moved: bool = False) ->
     their steps differ by the same power of a thousand, or where two files, of which one has no stamps, have unequal
     numbers of poses; `name` is that of `a` in flags; `moved`: by how much is stated, from the first rows on.
     """
-    for lacking, other in ((a, b), (b, a)):
+    every = [f.time if f.every is None else f.every for f in (a, b)]
+    every = every if (same := len(every[0]) == len(every[1])) else [a.time, b.time]
+    for lacking, other, (own, theirs) in ((a, b, every), (b, a, every[::-1])):
         if lacking.clock.by != ROWS and not _counts_rows(lacking, other):
             continue
-        k = rows_apart(a, b) if len(a) != len(b) and not moved else 0
+        k = rows_apart(a, b) if not same and not moved else 0
         if k is None:
             if lacking.clock.by != ROWS:
                 continue
@@ -161,12 +163,12 @@ def same_clock(a: GivenPath, b: GivenPath, name: str, *, moved: bool = False) ->
             flag = f"--times {name if lacking is a else 'truth'}=FILE, a stamp [s] a line"
             where = f"--time-offset {name}=0 where both begin together"
             raise DataError.at(lacking.file, f"{what} As many in both are needed, or {flag}, or {where}{lacking.runs}")
-        at = np.arange(len(lacking)) + (k if lacking is a else -k)
-        time = np.interp(at, np.arange(len(other)), other.time)
-        time += (at - np.clip(at, 0, len(other) - 1)) * float(np.median(np.diff(other.time)))
-        why = ", before --time-offset" if moved else ", as motions fit best so" * (len(a) != len(b))
+        at = np.searchsorted(own, lacking.time) + (k if lacking is a else -k)
+        time = np.interp(at, np.arange(len(theirs)), theirs)
+        time += (at - np.clip(at, 0, len(theirs) - 1)) * float(np.median(np.diff(theirs)))
+        why = ", before --time-offset" if moved else ", as motions fit best so" * (not same)
         said = f"inferred: row {1 + max(0, -k)} of {a.file} is of row {1 + max(0, k)} of {b.file}{why}"
-        told = a if lacking.clock.by == ROWS and len(a) == len(b) else replace(a, notes=(*a.notes, said))
+        told = a if lacking.clock.by == ROWS and same else replace(a, notes=(*a.notes, said))
         return (restamped(told, time, b.clock), b) if lacking is a else (told, restamped(b, time, a.clock))
     a, b = _plain_if_better(a, b), _plain_if_better(b, a)
     (span_a, step_a), (span_b, step_b) = _span(a), _span(b)
