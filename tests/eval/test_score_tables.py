@@ -77,8 +77,8 @@ def test_columns_that_may_be_anything_are_to_be_named(scored):
     values = scored(text, table({"y": TRUE[:, 1], "x": TRUE[:, 0]}), flags=("--columns", "estimate.x=1,estimate.y=2"))
     assert values["rmse_position_m"] == pytest.approx(0.1)
     turns = exp_rotation(np.outer(0.5 + TURN, [0.0, 0.0, 1.0])).reshape(-1, 9)
-    turned = lines_of(turns, T, 0 * T, 0 * T, PLANE, 0 * T)  # a matrix, a position and more
-    assert "no known trajectory format" in scored(turned, turned, wrong=True)
+    for more in ((), (T, 0 * T, 0 * T, PLANE, 0 * T)):  # a matrix alone, or a position and more beside it
+        assert "columns 1 to 9 are a rotation matrix" in scored(*[lines_of(turns, *more)] * 2, wrong=True)
 
 
 @pytest.mark.parametrize(("own", "true"), [

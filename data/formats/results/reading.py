@@ -737,6 +737,10 @@ def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:
     shown += f", {','.join(text.fields[odd])[:40]!r}"
     example = ",".join(f"{'truth.' * manner.true}{q}={n}" for q, n in likely(text.fields).items())
     what = f"{shown}: no known trajectory format; {ACCEPTED} is needed, or columns by number: --columns {example}"
+    numbers = not odd and all(map(is_number, chain(*text.fields)))
+    if numbers and (k := lines.turns_in(np.array(text.fields, float))) >= 0:
+        what = f"columns {k + 1} to {k + 9} are a rotation matrix, {len(first) - 9} others have no names: a header is "
+        what += f"needed, as in x,y,z,r11,...,r33, or places in another file, as in POSITIONS+{text.path}"
     what += kinds_of(text.path, text.fields) or runs_of(text.path)
     raise DataError.at(text.path, what, line=text.line[odd])
 
@@ -806,7 +810,7 @@ def _on_earth(fields: Sequence[Sequence[str]], rows: Array) -> tuple[str, ...]:
 
 def _turned(rows: Array) -> tuple[str, ...]:
     """Roles of columns of a place and a unit quaternion, with or without a stamp, maybe with more behind; else none."""
-    if lines.layout_of([[*map(str, row[:12])] for row in rows.tolist()]):
+    if lines.layout_of([[*map(str, row[:12])] for row in rows.tolist()]) or lines.turns_in(rows) >= 0:
         return ()
     stamps = len(rows) > 1 and bool((np.diff(rows[:, 0]) > 0.0).all())
     found = []
