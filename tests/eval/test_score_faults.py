@@ -572,6 +572,9 @@ def test_latitudes_are_metres_about_one_origin_and_beside_another_frame_aligned(
     named, radian = commas(high, "t,gps_lat (deg),gps_lon (deg),alt (m)"), np.radians(moved[:, 1:])
     turned = commas(np.column_stack([t, radian]), "t,lat_rad,lon_rad")
     assert scored(turned, named)[0]["rmse_position_m"] == pytest.approx(3.0, abs=1e-3)
+    lost = high * np.where((t == t[5])[:, None], [1.0, 0.0, 0.0, 0.0], 1.0)
+    values, _, text = scored(turned, commas(lost, "t,lat,lon,alt"))
+    assert ("1 place of truth at 0, 0" in text, values["rmse_position_m"]) == (True, pytest.approx(3.0, abs=1e-3))
     bare = lines(high[:, :3]), lines(high)
     for truth in bare:
         values, _, text = scored(posed(WAY * [1, -1, -1, 1] + [0.0, 5.0, 5.0, 0.0]), truth)

@@ -17,6 +17,7 @@ import scipy
 
 from data.columns.named import STAMP
 from data.csv_table import cut_off, is_number, symmetric
+from data.earth import placed
 from data.errors import LARGEST, DataError, UsageError
 from data.formats.arrays import ELEMENT, columns_of, is_arrays
 from data.formats.messages import cut_end, kinds_of, read_lines, runs_of
@@ -283,8 +284,9 @@ def read_tum(text: Text, manner: paths.Manner) -> paths.GivenPath:
     """A TUM file, with covariances from `manner.cov` if given."""
     rows = numbers(text, POSE, huge=POSE[:1])
     time, clock = times_of(text, rows[:, 0], manner)
+    rows[:, 1:4], none = placed(rows[:, 1:4], "truth" * manner.true)
     if manner.cov is None:
-        return path_of(text, "TUM", (time, clock), rows, None, manner)
+        return path_of(text, "TUM", (time, clock), rows, None, manner, notes=none)
     side = read_text(manner.cov)
     kept = numbers(side, ("t", *TRIANGLE), huge=("t",))
     of_side, _ = times_of(side, kept[:, 0], manner, clock)

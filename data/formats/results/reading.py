@@ -16,7 +16,7 @@ import scipy
 from data.columns.named import COVARIANCE, LENGTH, STAMP, YAW
 from data.csv_table import ends_early, is_number, symmetric
 from data.dates import EXAMPLE, IN_SECONDS, ISO, is_date, seconds_of, unit_of
-from data.earth import on_plane
+from data.earth import on_plane, placed
 from data.errors import DataError, UsageError, did_you_mean
 from data.formats.messages import kinds_of, parts_of, runs_of, whole_names
 from data.formats.results import lines, path as paths
@@ -374,6 +374,9 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
         notes += (f"inferred: stamps are dates, {IN_SECONDS}; --columns t=NAME names others",)
     notes += (f"inferred: --columns {columns.told}",) * bool(columns.told)
     datum: tuple[float, ...] = ()
+    axes = [q for q in (("lat", "lon") if "lat" in value else POSE[1:4]) if q in value]
+    at, none = placed(np.column_stack([value[q] for q in axes]), "truth" * manner.true)
+    value, notes = value | dict(zip(axes, at.T, strict=True)), notes + none
     if "lat" in value:  # in rad by now
         high = value.get("alt", np.full(len(body.fields), np.nan))
         each = np.column_stack([np.degrees(value["lat"]), np.degrees(value["lon"]), high])

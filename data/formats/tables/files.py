@@ -23,7 +23,7 @@ import numpy as np
 from data.columns.named import LENGTH, STAMP, unused
 from data.csv_table import Table, cut_off, ends_early, is_number
 from data.dates import DATES, DMY, EXAMPLE, MDY, is_date, seconds_of, unit_of, whole_dates
-from data.earth import on_plane
+from data.earth import on_plane, placed
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import ELEMENT, WIDE, columns_of, is_arrays, solids
 from data.formats.messages import LISTED, cut_end, kinds_of, parts_of, read_lines, whole_names
@@ -968,18 +968,9 @@ class Columns:
                 if q in ("range", "bearing"):
                     self.notes.append(f"{file.path.name}: {q} is {said}: was nothing measured there? Leave them out")
         if role in ("truth", "fixes") and {"x", "y"} <= {*values}:
-            at = np.stack([values["x"], values["y"]])
-            none = ~at.any(axis=0)
-            rest = at[:, ~none & np.isfinite(at).all(axis=0)]
-            step, near = np.hypot(*np.diff(rest)).max(initial=0.0), np.hypot(*rest).min(initial=np.inf)
-            early = np.logical_and.accumulate(none)
-            if not 0.0 < APART * step < near:  # several fixes at first, a leap before the others
-                leap = role == "fixes" and early.sum() > 1 and rest.size and 0.0 < step < np.hypot(*rest[:, 0])
-                none = early & bool(leap)
-            if none.any():
-                some = f"{counted(int(none.sum()), 'place')} of {role} at 0, 0, far from all others"
-                self.notes.append(f"{file.path.name}: {some}: left out, as none was measured yet")
-                values |= {q: np.where(none, np.nan, values[q]) for q in ("x", "y")}
+            at, none = placed(np.column_stack([values["x"], values["y"]]), role, first=role == "fixes")
+            self.notes += [f"{file.path.name}: {some}" for some in none]
+            values |= {"x": at[:, 0], "y": at[:, 1]}
         if earth:
             place = np.stack([values["y"], values["x"], 0.0 * values["x"]], axis=-1)
             for k, (q, sides) in enumerate((("y", "NS"), ("x", "EW"))):  # the hemisphere, in the next column
@@ -1032,7 +1023,7 @@ def unmeasured(values: Array) -> tuple[int, int, bool] | None:
     return None
 
 
-REPEATED, BEYOND, LEVELS, APART = 3, 10.0, 20, 50.0
+REPEATED, BEYOND, LEVELS = 3, 10.0, 20
 """Least number of fields with a value that stands for none; how many times it is as large, or as frequent, as any
 other; least number of different values; how many steps places at 0, 0 that stand for none are away.
 """
