@@ -215,6 +215,9 @@ def test_quaternions_by_name_are_scaled_and_numbers_of_rows_are_no_stamps(scored
     q = {"qz": (0.05 + T) * np.sin(0.5 * TURN), "qw": (0.05 + T) * np.cos(0.5 * TURN), "qx": 0 * T, "qy": 0 * T}
     text = table({"t": np.arange(60.0), "x": MINE[:, 0], "y": MINE[:, 1], **q})
     assert scored(text, table(WHOLE | {"t": 1000.0 + T}))["rmse_heading_deg"] == pytest.approx(0.0, abs=1e-6)
+    flipped = [np.cos(0.5 * TURN) * (T > 0.0), 1.0 * (T == 0.0), 0 * T, np.sin(0.5 * TURN)]
+    first = table(dict(zip(["t", "x", "y", "q_1", "q_2", "q_3", "q_4"], [T, *MINE.T[:2], *flipped], strict=True)))
+    assert scored(first, table(WHOLE))["rmse_heading_deg"] == pytest.approx(0.0, abs=1e-6)
     kinds = "\n".join(f"{kind} {row}" for row in table(WHOLE, False, " ").splitlines() for kind in "LR")
     assert "rows hold L (60), R (60): name those of one kind" in scored(kinds, text, wrong=True)
 

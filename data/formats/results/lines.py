@@ -52,7 +52,7 @@ LISTS = (
 )  # fmt: skip
 """Last words of names NAME_1, NAME_2, ..., and what as many columns are."""
 RTKLIB = r"%\s+(GPST|UTC|JST)\s+latitude\(deg\)"  # The comment that names the columns of its solutions
-ABOUT_Z = 0.3  # Largest entries about x and y of quaternions of what drives on the ground
+ABOUT_Z = 0.3  # Largest part about x and y of quaternions of what is nearly upright: tilted by 35 deg
 EUROC = ("t", "x", "y", "z", "qw", "qx", "qy", "qz")
 
 
@@ -217,8 +217,9 @@ def in_names(text: Text) -> Text:
             q[bad] = np.nan
             each = [[*map(repr, row)] for row in np.column_stack([P[:, :, 3], q])[:, -len(roles) :].tolist()]
         elif roles == POSE[4:] and all(map(is_number, chain(*each))):
-            far = np.abs(np.array(each, float)).max(axis=0)
-            roles = ("qw", *POSE[4:7]) if max(far[1:3]) < ABOUT_Z < far[0] else roles
+            square = np.array(each, float) ** 2  # nearer upright through the path
+            first, last = np.median(square[:, 1] + square[:, 2]), np.mean(square[:, 0] + square[:, 1])
+            roles = ("qw", *POSE[4:7]) if first < ABOUT_Z**2 < last else roles
         if roles:
             said.append(f"inferred: {names[at[0]]} to {names[at[-1]]} are {', '.join(roles)}")
             own = [stem.removesuffix(word) + role for role in roles]
