@@ -194,6 +194,13 @@ def test_two_files_in_two_planes_are_aligned_in_space(places, scored):
         assert not [a for a in asked if "verticals" in a]
 
 
+def test_a_truth_that_tips_over_is_no_question_of_axes(scored):
+    tips = [(math.sin(0.1 * k) * math.sqrt(0.5), math.cos(0.1 * k)) for k in range(len(CURVE))]
+    truth = lines((k, x, y, 0, s, s, 0, c) for k, ((x, y), (s, c)) in enumerate(zip(CURVE, tips)))
+    _, asked, text = scored(tum(CURVE), truth)
+    assert (asked, "no turn of axes explains" in text) == ([], True)
+
+
 def test_degrees_in_both_files_are_inferred_and_many_turns_in_rad_are_none(scored):
     way = [(math.cos(0.05 * k), math.sin(0.05 * k)) for k in range(100)]
     h = [math.degrees(0.05 * k) + 90.0 for k in range(100)]

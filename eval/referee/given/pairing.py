@@ -328,7 +328,8 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
         back = first[0] > 0 and last[-1] + 1 < len(pair.estimate)
         yield notice(Code.PATH_OUTLIERS, file=pair.estimate.file, first=first, last=last, back=back)
     t, ours = pair.truth, pair.estimate
-    if t is not None and t.file != ours.file and t.covariance is not None and ours.covariance is None:
+    states = t is not None and t.space is not None and t.space.stated.world  # a message, which has room for them
+    if t is not None and t.file != ours.file and t.covariance is not None and ours.covariance is None and not states:
         yield notice(Code.PATH_SWAPPED, estimate=ours.file, truth=t.file)
     yield from _order(pair, known)
     if t is not None and not pair.in_rows and t.clock.by == ours.clock.by == ROWS and len(t) == len(ours):
@@ -418,20 +419,23 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
         return
     ours, theirs = ours.of(known), at.of(known)
     tilt = float(np.median(tilts(ours, theirs)))
-    if tilt <= TILTED:
-        level = max(float(np.max(np.abs(v))) for v in (ours.rotation[:, 2, :2], theirs.rotation[:, 2, :2]))
-        if level > 1e-6:
-            yield notice(Code.TILT, tilt=math.degrees(tilt), poses=int(known.sum()))
-        return
     bodies = np.swapaxes(ours.rotation, -1, -2) @ theirs.rotation
-    same_world = _spread(theirs.rotation @ np.swapaxes(ours.rotation, -1, -2)) <= _spread(bodies)
+    spread = _spread(theirs.rotation @ np.swapaxes(ours.rotation, -1, -2)), _spread(bodies)
     of = scipy.spatial.transform.Rotation  # whether quaternions fit the truth's tilt when their first number is w
     turned = of.from_quat(np.roll(of.from_matrix(ours.rotation.copy()).as_quat(), -1, axis=1)).as_matrix()
     fitted = np.median(tilts(Poses(ours.position, turned), theirs))
     first = bool(not both.estimate.stated.axes and _same_vertical(ours, theirs) and fitted < 0.5 * TILTED)
-    which = "quaternion" if first else "world" if same_world else "body"
-    flags, degrees = ("--axes NAME=camera",) * (which != "body" or _apart(ours, theirs)[1] < SURELY), math.degrees(tilt)
-    yield notice(Code.PATH_TILT, estimate=path.file, truth=truth.file, tilt=degrees, which=which, flags=flags)
+    tips = not first and min(spread) > tilt  # no turn of axes explains it
+    if tilt <= TILTED or tips:
+        level = max(float(np.max(np.abs(v))) for v in (ours.rotation[:, 2, :2], theirs.rotation[:, 2, :2]))
+        if level > 1e-6:
+            tips &= tilt > TILTED
+            yield notice(Code.TILT, tilt=math.degrees(tilt), poses=int(known.sum()), tips=tips)
+        return
+    which = "quaternion" if first else "world" if spread[0] <= spread[1] else "body"
+    flags = ("--axes NAME=camera",) * (which != "body" or _apart(ours, theirs)[1] < SURELY)
+    degrees = dict(zip(("tilt", "left"), np.degrees([tilt, spread[1]]).tolist(), strict=True))
+    yield notice(Code.PATH_TILT, estimate=path.file, truth=truth.file, which=which, flags=flags, **degrees)
 
 
 FITS = 0.05  # largest RMS error of a fit, as a share of the path's size
