@@ -114,8 +114,7 @@ def leaps(truth: Array, other: Array) -> list[tuple[int, int]]:
         a, b = np.searchsorted(known, (first, last)).tolist()
         i, j = known[: a - b - 1], known[b - a + 1 :]  # what the paths drift apart as long a time elsewhere
         usual = se2.between(se2.between(other[i], other[j]), se2.between(truth[i], truth[j]))
-        far = UNUSUAL * np.quantile(np.abs(usual), 0.8, axis=0)
-        if (np.abs(steps.off[a - 1 if a else b]) > far).any():
+        if (np.abs(steps.off[a - 1 if a else b]) > UNUSUAL * np.quantile(np.abs(usual), 0.8, axis=0)).any():
             found.append((first if a else 0, last if b < len(known) - 1 else len(truth) - 1))
     rest = np.setdiff1d(known, [k for first, last in found for k in range(first, last + 1)])
     if not found or not len(rest) or np.ptp(truth[rest, :2], axis=0).any():

@@ -313,8 +313,7 @@ def begins(lines: Sequence[tuple[int, str]]) -> list[int]:
     at = [k for k, row in enumerate(split) if 2 * sum(map(is_number, row)) > len(row)]
     rows = [split[k] for k in at]
     again = [k for k in range(1, len(rows)) if rows[k] == rows[0] != rows[k - 1]]
-    gaps = [k for k in range(1, len(at)) if lines[at[k]][0] > lines[at[k - 1]][0] + 1]
-    starts = [0, *(again or gaps)]
+    starts = [0, *(again or [k for k in range(1, len(at)) if lines[at[k]][0] > lines[at[k - 1]][0] + 1])]
     for column in reversed([*zip(*rows, strict=False)]):
         v = np.array([float(f) if is_number(f) else np.nan for f in column])
         back = [0, *(np.flatnonzero(np.diff(v) < 0.0) + 1)]

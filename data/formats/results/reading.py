@@ -2,6 +2,7 @@
 
 import math
 import re
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -25,6 +26,7 @@ from data.formats.results.lines import BLOCKS, ENTRIES, ENTRIES_6, EUROC, POSE, 
 from data.formats.results.path import ABSENT, DATES, DIGITS, LOCAL, MIXED, ROWS, WORLD, GivenPath, Manner, Stated
 from data.formats.results.space import UNIT, full, known_only, require_covariances
 from data.formats.wrapped import file_and_word
+from data.inputs import IntArray
 from data.questions.examination import in_degrees
 from data.se2 import Array, wrap_angle
 from data.terminal import counted
@@ -34,30 +36,17 @@ from data.terminal import counted
 # names and is not read is stated; a header without stamp, position or orientation is refused.
 
 STAMPS = frozenset((*STAMP, "sec", "secs", "second", "seconds", "tow"))
-PLACE = frozenset(("p", "pos", "position", "t", "trans", "translation", "transl", "loc", "location"))
-TURN = frozenset(("q", "quat", "quaternion", "rot", "rotation", "orientation", "ori", "att", "attitude"))
-AROUND = frozenset(("pose", "field", "gt", "true", "truth", "groundtruth", "est", "estimate", "estimated", "ref"))
-AROUND |= frozenset(("reference", "world", "map", "odom", "rs", "r", "header", "elapsed", "sim", "ros", "unix", "utc"))
-AROUND |= frozenset(("hat", "ekf", "ukf", "kf", "pf", "slam", "transform"))
-"""Words that may stand around the name of a column."""
-TRUE = frozenset(("gt", "true", "truth", "groundtruth"))  # Those of the true path, where a row holds both
-REFERENCE, ESTIMATED = frozenset(("ref", "reference")), frozenset(("est", "estimate", "estimated"))
-"""Those of the true path beside one of an estimate, and of that."""
-SIDES = TRUE | {"est", "estimate", "estimated", "hat", "ekf", "ukf", "kf", "pf", "slam", "odom", "ref"}
-"""Of these, those that may stand behind a name."""
-NANOSECONDS = frozenset(("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds"))  # Beside seconds, or alone
-GNSS = frozenset(("gps", "gnss", "rtk", "ins", "fix", "geo", "ref", "ellipsoid", "ellipsoidal"))
-"""Words that may stand around latitude, longitude, height."""
-EARTH = dict.fromkeys(("lat", "latitude"), "lat") | dict.fromkeys(("lon", "lng", "longitude"), "lon")
-EARTH |= dict.fromkeys(("alt", "altitude", "height", "elevation"), "alt")
+WORDS = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
+PLACE, TURN, AROUND, SIDES, TRUE, REFERENCE, ESTIMATED, NANOSECONDS, GNSS = (
+    frozenset[str](WORDS[kind].split())
+    for kind in ("place", "turn", "around", "sides", "true", "reference", "estimated", "nanoseconds", "gnss")
+)
+EARTH: dict[str, str] = {word: role for role, words in WORDS["earth"].items() for word in words.split()}
+ALIAS: dict[str, str] = {word: unit for unit, words in WORDS["units"].items() for word in words.split()}
+TRUER: list[str] = WORDS["truer"]
+OTHERS = [*WORDS["others"], *TRUER]
 ANGLES = {"roll": "roll", "pitch": "pitch", **dict.fromkeys(YAW, "yaw")}
 TURNS = {"rad": 1.0, "deg": np.pi / 180.0}
-ALIAS = (
-    {"sec": "s", "secs": "s", "seconds": "s", "second": "s", "msec": "ms", "milliseconds": "ms", "usec": "us"}
-    | {"millis": "ms", "millisec": "ms", "micros": "us"}
-    | {"µs": "us", "microseconds": "us", "nsec": "ns", "nanoseconds": "ns"}
-    | {"degree": "deg", "degrees": "deg", "°": "deg", "radian": "rad", "radians": "rad", "meters": "m", "meter": "m"}
-)
 AXES = PLACE | TURN | {*"xyzw", *ANGLES}  # Words of the columns of one path, beside which its name stands
 AXIS, PAIRED = "|".join(("x", "y", "z", *YAW)), "|".join(("x", "y", "t", *YAW))
 SPREAD = "(cov|covariance|var|variance|std|stddev|stdev|sd|sigma)"
@@ -208,15 +197,6 @@ def _sided(names: Sequence[str]) -> list[str]:
 
 
 WORD = "(?i)(?<![a-z])({})(?![a-z])"
-TRUER = (
-    "gt true truth groundtruth ground_truth mocap vicon optitrack", "ref reference desired target expected",
-    "actual real reality", "sim simulated",
-)  # fmt: skip
-OTHERS = (
-    "est", "pred predict predicted prediction filter filtered kalman fused corrected estimation vo vio mean mu",
-    "robot output meas measured noisy raw odometry", *TRUER,
-)  # fmt: skip
-"""Words of the true path in a row with another, the first of these that the row has; and those of the other one."""
 
 
 def _by_number(names: Sequence[str]) -> dict[str, str]:
@@ -647,43 +627,35 @@ def side_by_side(path: Path, sides: Sequence[Side]) -> tuple[tuple[str, ...], tu
     """Names and rows of files side by side, each row of the first with those nearest in time where all have stamps of
     their own, which is said; columns without names have those of their file. DataError for unequal numbers of rows.
     """
-    if (nearest := _by_stamp(sides)) is not None:
-        return nearest
-    if len({len(s.rows) for s in sides}) > 1:
-        what = f"files of unequal numbers of rows ({', '.join(f'{s.path.name} {len(s.rows)}' for s in sides)})"
-        raise DataError.at(path, f"{what}; as many in each are needed, or a column of stamps")
-    each = [(s, name, column) for s in sides for name, column in zip(s.names, zip(*s.rows, strict=True), strict=True)]
-    stems = [s.path.stem + name * (len(s.names) > 1) for s, name, _ in each]
-    named = [name if s.named and not name.isdecimal() else o for (s, name, _), o in zip(each, stems, strict=True)]
-    held = dict.fromkeys(zip(named, (column for *_, column in each), strict=True))  # the same stamps once
-    return tuple(name for name, _ in held), tuple(zip(*(column for _, column in held), strict=True)), ""
-
-
-def _by_stamp(sides: Sequence[Side]) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], str] | None:
-    """Rows of the first file, each with the nearest in time of the others; None: one has none, or all are equal."""
     stamps = [[k for k, name in enumerate(s.names) if s.named and {*words_of(name)[0]} & {*STAMP}] for s in sides]
     stamps = [[k for k in own if "header" in s.names[k]] or own for s, own in zip(sides, stamps, strict=True)]
-    if not all(len(found) == 1 for found in stamps):
-        return None
-    texts = [[row[k] for row in s.rows] for s, (k,) in zip(sides, stamps, strict=True)]
-    if all(own == texts[0] for own in texts) or not all(map(is_number, chain(*texts))):
-        return None
-    times = [np.array(own, float) for own in texts]
-    if not all((np.diff(time) >= 0.0).all() for time in times):
-        return None
-    first, rows = sides[0], [*map(tuple, sides[0].rows)]
-    names = [*first.names]
-    for side, (own,), time in zip(sides[1:], stamps[1:], times[1:], strict=True):
-        near = np.clip(np.searchsorted(time, times[0]), 1, len(time) - 1)
-        near -= times[0] - time[near - 1] < time[near] - times[0]
-        step = np.median(np.diff(time, prepend=time[0]))
-        there = (time[0] - step <= times[0]) & (times[0] <= time[-1] + step)
-        names += [name for k, name in enumerate(side.names) if k != own]
-        for k, (row, inside) in enumerate(zip(near.tolist(), there.tolist(), strict=True)):
-            fields = tuple(field for j, field in enumerate(side.rows[row]) if j != own)
-            rows[k] = (*rows[k], *(fields if inside else [""] * len(fields)))
-    said = f"beside each row of {first.path.name} those of {', '.join(s.path.name for s in sides[1:])} nearest in time"
-    return tuple(names), tuple(rows), said
+    texts = [[row[k] for row in s.rows] for s, own in zip(sides, stamps, strict=True) for k in own[: len(own) < 2]]
+    near = [np.arange(len(s.rows)) for s in sides]
+    apart = len(texts) == len(sides) and any(own != texts[0] for own in texts) and all(map(is_number, chain(*texts)))
+    times = [np.array(own, float) for own in texts] if apart else []
+    if apart := apart and all((np.diff(time) >= 0.0).all() for time in times):
+        near[1:] = [_nearest(time, times[0]) for time in times[1:]]
+    elif len({*map(len, near)}) > 1:
+        what = f"files of unequal numbers of rows ({', '.join(f'{s.path.name} {len(s.rows)}' for s in sides)})"
+        raise DataError.at(path, f"{what}; as many in each are needed, or a column of stamps")
+    held = dict[tuple[str, tuple[str, ...]], None]()  # the same stamps once
+    for side, own, rows in zip(sides, stamps, near, strict=True):
+        for j, name in enumerate(side.names):
+            stem = side.path.stem + name * (len(side.names) > 1)
+            column = tuple(side.rows[k][j] if k >= 0 else "" for k in rows.tolist())
+            if side is sides[0] or not apart or j not in own:
+                held[name if side.named and not name.isdecimal() else stem, column] = None
+    others = ", ".join(s.path.name for s in sides[1:])
+    said = f"beside each row of {sides[0].path.name} those of {others} nearest in time" * apart
+    return tuple(name for name, _ in held), tuple(zip(*(column for _, column in held), strict=True)), said
+
+
+def _nearest(time: Array, at: Array) -> IntArray:
+    """The rows of ascending stamps (n,) nearest to others (m,); -1 for those more than a usual step outside."""
+    near = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
+    near -= at - time[near - 1] < time[near] - at
+    step = np.median(np.diff(time, prepend=time[0]))
+    return np.where((time[0] - step <= at) & (at <= time[-1] + step), near, -1)
 
 
 def read_text(path: Path) -> Text:
@@ -776,8 +748,7 @@ def only_reading(fields: Sequence[Sequence[str]]) -> dict[str, str]:
         steady = ascend and np.quantile(dt, 0.9) < most * np.quantile(dt, usual)
         chords = [span for span in SPANS if span == 1 or (len(roles) == 4 and CHORDS * span < len(rows))]
         follows = "yaw" not in roles or any(_follows(place, column["yaw"], span, ascend) for span in chords)
-        near = np.ptp(place, axis=1).max() > FEW * np.abs(place).max()
-        if near and follows and ("t" not in roles or steady):
+        if np.ptp(place, axis=1).max() > FEW * np.abs(place).max() and follows and ("t" not in roles or steady):
             fine.append(roles)
     fine = fine or [roles for roles in (earth, _turned(rows)) if roles]
     return {role: str(k + 1) for k, role in enumerate(fine[0])} if len(fine) == 1 else {}

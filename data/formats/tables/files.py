@@ -9,6 +9,7 @@ import csv
 import itertools
 import math
 import re
+import tomllib
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -29,7 +30,7 @@ from data.formats.arrays import ELEMENT, WIDE, columns_of, is_arrays, solids
 from data.formats.messages import LISTED, cut_end, kinds_of, parts_of, read_lines, whole_names
 from data.formats.recordings.ros import table_of
 from data.formats.results.bags import file_and_topic
-from data.formats.results.reading import RATES, REFERENCE, TRUE, Side, role_of, side_by_side, topics_in, words_of
+from data.formats.results.reading import RATES, Side, role_of, side_by_side, topics_in, words_of
 from data.inputs import IntArray
 from data.notice import Notice
 from data.origin import Origin
@@ -450,14 +451,8 @@ DIMENSIONS = {"length": LENGTH | {"mi": 1609.344, "nmi": 1852.0}, "angle": ANGLE
 
 STAMPS = ("t", "t1", "t2")
 INSTANTS = {*STAMPS, "frame", "frame1"}
-QUANTITIES = {
-    **dict.fromkeys((*STAMPS, "dt"), "time"), **dict.fromkeys(("x", "y", "dx", "dy", "range", "sx", "sy"), "length"),
-    **dict.fromkeys(("theta", "dtheta", "bearing", "stheta", "steering", "lat", "lon"), "angle"),
-    "v": "length/time", "vy": "length/time", "omega": "angle/time",
-    **dict.fromkeys(("left", "right", "frame", "id", "true_id", "label", "qx", "qy", "qz", "qw"), ""),
-    **dict.fromkeys(("frame1", "frame2", "source", "descriptor", "class", "kind"), ""),
-}  # fmt: skip
-"""Quantities of columns, and their dimensions; rates are per second by default, lat and lon in degrees."""
+NAMES = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
+QUANTITIES: dict[str, str] = {q: dimension for dimension, of in NAMES["dimensions"].items() for q in of.split()}
 
 
 @dataclass(frozen=True)
@@ -543,30 +538,10 @@ SPEED = ("velocity", "vel", "v", "speed", "omega", "w")  # Words of the speed of
 HOLDING = ("data", "message", "msg", "payload")  # Words of objects within an object
 WHEEL = "|".join((*HOLDING, "wheels?", *SPEED, "ticks?|counts?|position|pos|angle|joint|encoders?|enc|phi"))
 WHEELS = {side: re.compile(f"(?!{side[0]}$)(?:{WHEEL})*(?:{side}|{side[0]})(?:{WHEEL})*") for side in ("left", "right")}
-ALSO = {
-    "v": ("velocity", "vel", "speed", "linearvelocity", "linearspeed", "linvel", "forwardvelocity", "forwardspeed"),
-    "omega": (
-        *("w", "wz", "yawrate", "angularvelocity", "angularvelocityz", "angularspeed", "angvel", "turnrate", "gyroz"),
-    ),
-    "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg", "b", "phi", "azimuth"),
-    "dx": ("d", "ds", "deltas", "deltad", "deltax"), "dy": ("deltay",), "dtheta": ("deltatheta", "deltayaw", "dyaw"),
-    "steering": ("steer", "steeringangle"), "dt": ("deltat", "deltatime", "timestep"),
-    "x": ("gpsx", "uwbx", "east", "easting", "relx", "xrel", "localx", "xlocal"),
-    "y": ("gpsy", "uwby", "north", "northing", "rely", "yrel", "localy", "ylocal"), "theta": ("orientation",),
-    **dict.fromkeys(("label", "id"), ("landmarkid", "beaconid", "markerid", "tagid")),
-    "lat": ("latitude",), "lon": ("longitude", "lng"),
-    "frame": ("poseid", "frameid"), "frame1": ("fromid", "idfrom"), "frame2": ("toid", "idto"),
-}  # fmt: skip
+ALSO, TWIST = ({q: (*words.split(),) for q, words in NAMES[kind].items()} for kind in ("also", "twist"))
+PARTS, ALSO_OF = ({of: frozenset(words.split()) for of, words in NAMES[kind].items()} for kind in ("parts", "kinds"))
 WITHIN = ("frame", "frame1", "frame2")
-"""Other usual names of a quantity, in small letters only, beside those of results (`role_of`); read, with the unit at
-their end, where a file has exactly one of them."""
-
-
 AGAIN = 3  # Least usual number of observations of a landmark
-TWIST = {
-    "v": ("linearx", "velx", "velocityx", "linearvelx"), "omega": ("angularz", "angularvelocityz", "angularvelz"),
-}  # fmt: skip
-"""Ends of names of velocities along and about an axis of the robot."""
 
 
 def _sideways(file: TextTable, column: int) -> bool:
@@ -585,19 +560,6 @@ def _comes_again(file: TextTable, column: int) -> bool:
     each = np.split(number, np.flatnonzero(np.diff(number, prepend=np.inf) <= 0.0)[1:])
     counted_up = all((np.diff(some) == 1.0).all() and some[0] == number.min() for some in each)
     return not (counted_up and len(set(map(len, each))) > 1)
-
-
-PARTS = {
-    "odometry": frozenset(("odom", "odometry", "wheel", "encoder", "enc")),
-    "observations": frozenset(
-        ("obs", "observation", "meas", "measurement", "detection", "cone", "feature", "landmark", "lm", "beacon")
-    ),
-    "fixes": frozenset(("gps", "gnss", "uwb", "rtk", "fix")),
-    "truth": TRUE | REFERENCE | {"ground", "vicon", "mocap", "optitrack", "actual"},
-}  # fmt: skip
-"""Words in the name of a column, in the singular, that tell the part it is of."""
-ALSO_OF = {"odometry": {"motion", "control", "ctrl", "cmd", "vel"}, "observations": {"sensor", "range", "bearing"}}
-"""Words of a kind of rows, beside those of `PARTS`."""
 
 
 def kinds_by_part(path: Path) -> dict[str, Path]:
@@ -712,8 +674,7 @@ class Columns:
     def tells(self, file: TextTable, role: str) -> list[str]:
         """Names of the columns of a place in a file whose names tell that they are of this role; none without both."""
         for pair in (["x", "y"], [*EARTH.values()]) if not any("/" in name for name in topics_in(file.names)) else ():
-            columns = [self.find(file, role, q) for q in pair]
-            names = [file.names[c] for c in columns if c is not None]
+            names = [file.names[c] for q in pair if (c := self.find(file, role, q)) is not None]
             parts = [meaning(name)[0] or ("fixes",) * (pair[0] == EARTH["x"]) for name in names]
             if len(names) == len(pair) and all(role in of for of in parts):
                 return names

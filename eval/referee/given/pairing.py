@@ -172,8 +172,7 @@ def same_clock(a: GivenPath, b: GivenPath, name: str, *, moved: bool = False) ->
         return (restamped(told, time, b.clock), b) if lacking is a else (told, restamped(b, time, a.clock))
     a, b = _plain_if_better(a, b), _plain_if_better(b, a)
     (span_a, step_a), (span_b, step_b) = _span(a), _span(b)
-    sure = {a.clock.by, b.clock.by} & {paths.ASSUMED, paths.RATE}
-    if sure and min(span_a, span_b, step_a, step_b) > 0.0:
+    if {a.clock.by, b.clock.by} & {paths.ASSUMED, paths.RATE} and min(span_a, span_b, step_a, step_b) > 0.0:
         for name, factor in [*((n, 10.0**digits) for n, digits in paths.DIGITS.items()), ("min", 60.0)]:
             for slow, fast, spans, steps in (
                 (a, b, span_a / span_b, step_a / step_b),
@@ -425,11 +424,9 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     turned = of.from_quat(np.roll(of.from_matrix(ours.rotation.copy()).as_quat(), -1, axis=1)).as_matrix()
     fitted = np.median(tilts(Poses(ours.position, turned), theirs))
     first = bool(not both.estimate.stated.axes and _same_vertical(ours, theirs) and fitted < 0.5 * TILTED)
-    tips = not first and min(spread) > tilt  # no turn of axes explains it
+    tips = tilt > TILTED and not first and min(spread) > tilt  # no turn of axes explains it
     if tilt <= TILTED or tips:
-        level = max(float(np.max(np.abs(v))) for v in (ours.rotation[:, 2, :2], theirs.rotation[:, 2, :2]))
-        if level > 1e-6:
-            tips &= tilt > TILTED
+        if np.abs([ours.rotation[:, 2, :2], theirs.rotation[:, 2, :2]]).max() > 1e-6:
             yield notice(Code.TILT, tilt=math.degrees(tilt), poses=int(known.sum()), tips=tips)
         return
     which = "quaternion" if first else "world" if spread[0] <= spread[1] else "body"
