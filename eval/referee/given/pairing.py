@@ -417,15 +417,16 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     if not known.any() or _first_is_w(path) or _first_is_w(truth):
         return
     ours, theirs = ours.of(known), at.of(known)
-    tilt = float(np.median(tilts(ours, theirs)))
+    tilt = float(np.median(tilts(ours, theirs)))  # a fit of places on a line may turn the estimate about it
+    level = min(tilt, float(np.median(tilts(poses(both.original).of(known), theirs)))) <= TILTED
     bodies = np.swapaxes(ours.rotation, -1, -2) @ theirs.rotation
     spread = _spread(theirs.rotation @ np.swapaxes(ours.rotation, -1, -2)), _spread(bodies)
     of = scipy.spatial.transform.Rotation  # whether quaternions fit the truth's tilt when their first number is w
     turned = of.from_quat(np.roll(of.from_matrix(ours.rotation.copy()).as_quat(), -1, axis=1)).as_matrix()
     fitted = np.median(tilts(Poses(ours.position, turned), theirs))
-    first = bool(not both.estimate.stated.axes and _same_vertical(ours, theirs) and fitted < 0.5 * TILTED)
-    tips = tilt > TILTED and not first and min(spread) > tilt  # no turn of axes explains it
-    if tilt <= TILTED or tips:
+    first = not (level or both.estimate.stated.axes) and fitted < 0.5 * TILTED and _same_vertical(ours, theirs)
+    tips = not level and not first and min(spread) > tilt  # no turn of axes explains it
+    if level or tips:
         if np.abs([ours.rotation[:, 2, :2], theirs.rotation[:, 2, :2]]).max() > 1e-6:
             yield notice(Code.TILT, tilt=math.degrees(tilt), poses=int(known.sum()), tips=tips)
         return
