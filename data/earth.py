@@ -10,6 +10,7 @@ import numpy as np
 
 from data.errors import DataError
 from data.se2 import Array
+from data.terminal import counted
 
 RADIUS, ECCENTRICITY_SQUARED = 6378137.0, 6.69437999014e-3  # m, 1; of the ellipsoid
 
@@ -56,3 +57,22 @@ def on_plane(file: Path, place: Array, datum: Sequence[float] = ()) -> tuple[Arr
     origin = np.array([*datum, 0.0][:3])
     height = np.where(np.isnan(place[:, 2:]), origin[2], place[:, 2:])
     return east_north_up(np.hstack([place[:, :2], height]), origin), tuple(datum), said
+
+
+APART = 50.0  # Least distance from 0 of other places, over the longest step between them
+
+
+def placed(place: Array, of: str, *, first: bool = False) -> tuple[Array, tuple[str, ...]]:
+    """Places (n, d), NaN where they are 0 and far from all others, as of a receiver that measured none, and what is
+    said of those; `first`: also of several at first, a leap before the others; `of`: whose they are, empty: unchanged.
+    """
+    none = np.asarray(~place.any(axis=1))
+    rest = place[~none & np.isfinite(place).all(axis=1)]
+    step = np.linalg.norm(np.diff(rest, axis=0), axis=1).max(initial=0.0)
+    if not 0.0 < APART * step < np.linalg.norm(rest, axis=1).min(initial=np.inf):
+        early = np.logical_and.accumulate(none)
+        none = early & bool(first and early.sum() > 1 and len(rest) and 0.0 < step < np.linalg.norm(rest[0]))
+    if not of or not none.any():
+        return place, ()
+    some = f"{counted(int(none.sum()), 'place')} of {of} at 0, 0, far from all others"
+    return np.where(none[:, None], np.nan, place), (f"{some}: left out, as none was measured there",)

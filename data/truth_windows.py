@@ -32,6 +32,7 @@ RETURNED = 0.25  # Largest rest of a step, over the step, after which the truth 
 STILL = 1e-6  # m and rad below which two true poses are one
 MISPLACED, SWAPPED = 10.0, 4.0  # Robust sigmas that all but `RARE` of a row's observations are off; of exchanged ones
 RARE = 0.1
+ALIKE = 0.1  # Least way of another path, over the extent of the true one, that speaks against a truth in one place
 ENOUGH = 5  # Fewest observations that give a landmark its place
 
 
@@ -100,7 +101,8 @@ def bad_truth(log: Log) -> tuple[BadTruth, ...]:
 
 def leaps(truth: Array, other: Array) -> list[tuple[int, int]]:
     """First and last rows of true poses (n, 3) that leap away from another path (n, 3) and come back, or stay where
-    they leapt to the end of the file, or from its beginning; NaN: unknown.
+    they leapt to the end of the file, or from its beginning; NaN: unknown. Where all others are in one place, though
+    the other path moves, these are the bad ones.
     """
     known = np.flatnonzero(np.isfinite(np.hstack([truth, other])).all(axis=1))
     if len(known) <= FEWEST:
@@ -112,10 +114,15 @@ def leaps(truth: Array, other: Array) -> list[tuple[int, int]]:
         a, b = np.searchsorted(known, (first, last)).tolist()
         i, j = known[: a - b - 1], known[b - a + 1 :]  # what the paths drift apart as long a time elsewhere
         usual = se2.between(se2.between(other[i], other[j]), se2.between(truth[i], truth[j]))
-        far = UNUSUAL * np.quantile(np.abs(usual), 0.8, axis=0)
-        if (np.abs(steps.off[a - 1 if a else b]) > far).any():
+        if (np.abs(steps.off[a - 1 if a else b]) > UNUSUAL * np.quantile(np.abs(usual), 0.8, axis=0)).any():
             found.append((first if a else 0, last if b < len(known) - 1 else len(truth) - 1))
-    return found
+    rest = np.setdiff1d(known, [k for first, last in found for k in range(first, last + 1)])
+    if not found or not len(rest) or np.ptp(truth[rest, :2], axis=0).any():
+        return found
+    extent = np.ptp(other[rest, :2], axis=0).max(), np.ptp(truth[known, :2], axis=0).max()
+    edges = [-1, *(row for window in found for row in window), len(truth)]
+    others = [(end + 1, begin - 1) for end, begin in zip(edges[::2], edges[1::2], strict=True) if begin - end > 1]
+    return others if extent[0] > ALIKE * extent[1] else found
 
 
 def without(log: Log, stretches: Sequence[tuple[float, float]]) -> Log:

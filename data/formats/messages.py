@@ -42,7 +42,7 @@ def read_lines(path: Path) -> tuple[list[tuple[int, str]], str, str]:
 
 def runs_of(path: Path) -> str:
     """What to type where the rows of a text are of several runs, one after the other; else nothing."""
-    lines = [] if is_arrays(path) else read_lines(path)[0]
+    lines = read_lines(path)[0] if file_and_word(path)[0].is_file() and not is_arrays(path) else []
     begun = [str(lines[k][0]) for k in begins(lines)]
     said = f"; {len(begun)} runs begin, in lines {', '.join(begun)[:60]}: name one, as in {path}:run=1"
     return said if len(begun) > 1 else ""
@@ -224,7 +224,11 @@ def parts_of(path: Path) -> list[Path]:
         return sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith(".")) or [path]
     first, *others = str(path).split("+")
     each = [Path(first), *(Path(name) if Path(name).exists() else Path(first).parent / name for name in others)]
-    return [path] if path.exists() or not all(p.exists() for p in each) else each
+    if path.exists() or not each[0].is_file():
+        return [path]
+    if missing := next((p for p in each if not p.exists()), None):
+        raise DataError.at(missing, f"no such file, of {path}")
+    return each
 
 
 def with_word(lines: list[tuple[int, str]], word: str) -> list[tuple[int, str]]:
@@ -309,8 +313,7 @@ def begins(lines: Sequence[tuple[int, str]]) -> list[int]:
     at = [k for k, row in enumerate(split) if 2 * sum(map(is_number, row)) > len(row)]
     rows = [split[k] for k in at]
     again = [k for k in range(1, len(rows)) if rows[k] == rows[0] != rows[k - 1]]
-    gaps = [k for k in range(1, len(at)) if lines[at[k]][0] > lines[at[k - 1]][0] + 1]
-    starts = [0, *(again or gaps)]
+    starts = [0, *(again or [k for k in range(1, len(at)) if lines[at[k]][0] > lines[at[k - 1]][0] + 1])]
     for column in reversed([*zip(*rows, strict=False)]):
         v = np.array([float(f) if is_number(f) else np.nan for f in column])
         back = [0, *(np.flatnonzero(np.diff(v) < 0.0) + 1)]

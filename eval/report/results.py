@@ -12,6 +12,7 @@ import pandas as pd
 
 from data.command import stretch
 from data.errors import DataError
+from data.formats.messages import parts_of
 from data.formats.results.bags import file_and_topic, is_bag
 from data.formats.results.reading import read_path
 from data.formats.results.space import ignored
@@ -128,8 +129,8 @@ def scored(file: str, truth: str, reading: Scoring) -> Scored:
 def _scored(file: str, truth: str, reading: Scoring) -> Scored:
     path, given = Path(truth), None
     excluded = tuple(stretch(text) for text in reading.exclude_truth)
-    asked: TruePath | None
-    if is_bag(file_and_topic(truth)[0]) or file_and_word(path)[0].is_file():
+    files, asked = all(file_and_word(part)[0].is_file() for part in parts_of(path)), None
+    if is_bag(file_and_topic(truth)[0]) or (files and not path.is_dir()):
         given = true_path(truth, [ESTIMATE], reading, rows=truth == file)
         log, asked = screened(truth_log(path.stem, given), excluded, keep=True), TruePath.of(given)
     elif path.exists() or truth == "victoria-park" or registry.is_simulated(truth):

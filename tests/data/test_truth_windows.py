@@ -287,3 +287,6 @@ def test_a_filter_that_creeps_while_the_robot_rests_has_not_leapt_away():
     assert leaps(other, truth) == []
     other[1000:1200, 1] += 20.0
     assert leaps(other, truth) == [(1000, 1199)]
+    truth[:, 0], other = 0.01 * np.arange(3000), np.ones((3000, 3))  # where all others are one point, these are bad
+    other[1000:1200], other[2000:2200] = truth[1000:1200], truth[2000:2200]
+    assert leaps(other, truth) == [(0, 999), (1200, 1999), (2200, 2999)]

@@ -77,8 +77,8 @@ def test_columns_that_may_be_anything_are_to_be_named(scored):
     values = scored(text, table({"y": TRUE[:, 1], "x": TRUE[:, 0]}), flags=("--columns", "estimate.x=1,estimate.y=2"))
     assert values["rmse_position_m"] == pytest.approx(0.1)
     turns = exp_rotation(np.outer(0.5 + TURN, [0.0, 0.0, 1.0])).reshape(-1, 9)
-    turned = lines_of(turns, T, 0 * T, 0 * T, PLANE, 0 * T)  # a matrix, a position and more
-    assert "no known trajectory format" in scored(turned, turned, wrong=True)
+    for more in ((), (T, 0 * T, 0 * T, PLANE, 0 * T)):  # a matrix alone, or a position and more beside it
+        assert "columns 1 to 9 are a rotation matrix" in scored(*[lines_of(turns, *more)] * 2, wrong=True)
 
 
 @pytest.mark.parametrize(("own", "true"), [
@@ -102,7 +102,7 @@ def test_words_tell_the_truer_of_two_paths(scored, sides):
     assert scored(text)["rmse_position_m"] == pytest.approx(0.1)
 
 
-def test_two_estimates_beside_a_truth_are_to_be_chosen(scored):
+def test_two_estimates_beside_a_truth_are_to_be_chosen_and_one_without_is_refused(scored):
     columns = dict(zip(("x_ekf", "x_odom", "y_ekf", "x_gt", "y_gt"), (*MINE.T[[0, 1, 1]], *TRUE.T[:2]), strict=True))
     text = table(columns)
     assert "'x_ekf' and 'x_odom' both name x; one of them is needed, as in --columns x=1" in scored(text, wrong=True)
@@ -110,9 +110,6 @@ def test_two_estimates_beside_a_truth_are_to_be_chosen(scored):
         assert scored(text, flags=("--columns", named))["rmse_position_m"] == pytest.approx(0.1)
     assert "'x_ekv' (did you mean x_ekf?)" in scored(text, flags=("--columns", "estimate.x=x_ekv"), wrong=True)
     assert "did you mean" in scored(text, text, flags=("--columns", "estimte.x=x_ekf"), wrong=True)
-
-
-def test_one_file_without_a_truth_is_refused(scored):
     assert "1 file without --truth" in scored(table(WHOLE), wrong=True)
     columns = dict(zip(("x_raw", "y_raw", "x_filtered", "y_filtered"), (*TRUE.T[:2], *MINE.T[:2]), strict=True))
     flags = "--columns truth.x=1,truth.y=2,estimate.x=3,estimate.y=4"
@@ -120,7 +117,7 @@ def test_one_file_without_a_truth_is_refused(scored):
     assert scored(table(columns), flags=flags.split())["rmse_position_m"] == pytest.approx(0.1)
 
 
-def test_of_stamps_those_count_that_tell_rows_apart_and_rows_of_both_without_are_compared_one_by_one(scored):
+def test_of_stamps_those_count_that_tell_rows_apart_others_are_numbers_of_rows_or_headings(scored):
     text = table({"stamp": 0 * T, "time": T, "x": TRUE[:, 0], "y": TRUE[:, 1]})
     assert scored(text, table(WHOLE))["matched"] == 60
     truth = re.sub("(?m)^([\\d.]+)", r"\1 sec", table(WHOLE | {"t": 1000.0 + T, "x": TRUE[:, 0]}))
@@ -129,10 +126,9 @@ def test_of_stamps_those_count_that_tell_rows_apart_and_rows_of_both_without_are
     both = {"time": np.floor(T), "x": MINE[:, 0], "y": MINE[:, 1], "gt_x": TRUE[:, 0], "gt_y": TRUE[:, 1]}
     values = scored(table(both))  # those that repeat: rows are compared one by one
     assert (values["rmse_position_m"], values["matched"]) == (pytest.approx(0.1), 60)
-
-
-def test_rows_that_are_moved_by_a_stated_number_are_not_moved_by_an_inferred_one_too(scored):
-    turn = np.cumsum(np.random.default_rng(0).normal(0.0, 0.2, 150))
+    both = [table({"x": pose[:, 0], "y": pose[:, 1], "t": np.sin(TURN)}) for pose in (MINE, TRUE)]  # t: the heading
+    assert scored(*both)["rmse_heading_deg"] == pytest.approx(0.0, abs=1e-6)
+    turn = np.cumsum(np.random.default_rng(0).normal(0.0, 0.2, 150))  # by a stated number, not by an inferred one, too
     path = np.column_stack([np.cumsum(np.cos(turn)), np.cumsum(np.sin(turn)), turn])
     texts = (table(dict(zip(("x", "y", "theta"), rows.T, strict=True))) for rows in (path[2:-1], path))
     assert scored(*texts, flags=["--time-offset", "2"])["rmse_position_m"] == pytest.approx(0.0, abs=1e-6)
@@ -175,12 +171,21 @@ def test_paths_of_a_file_of_arrays(tmp_path, capsys, suffix):
     assert read_path(str(tmp_path / "path.npz")).time == pytest.approx(T)
 
 
-def test_sources_of_rows_are_told_apart_by_a_word(scored, tmp_path):
+def test_rows_are_told_apart_by_a_word_binary_ones_by_their_number_and_several_files_are_side_by_side(scored, tmp_path):
     each = [("odom", T, MINE), ("gt", T, TRUE)]
     rows = [f"{t:.9g},{who},{x:.9g},{y:.9g}" for who, *of in each for t, (x, y, _) in zip(*of)]
     text = "\n".join(["time,source,x [mm],y [mm]", *rows])
     assert "rows hold odom (60), gt (60): name those of one kind, as in" in scored(text, text, wrong=True)
     assert score([*[f"{tmp_path}/0.csv:{who}" for who in ("odom", "gt")], "--columns", "x=3,y=y [mm]"]) == 0
+    assert "of rows of K doubles type" in scored(table(WHOLE), "\0", wrong=True)
+    np.column_stack([T, *MINE.T]).astype("<f4").tofile(tmp_path / "0.bin")
+    assert scored.of([f"{tmp_path}/0.bin:floats=4", f"{tmp_path}/0.csv"])["rmse_position_m"] < 1e-6
+    turn = exp_rotation(TRUE[:, 2:] * [0.0, 0.0, 1.0]).reshape(-1, 9) * (T[:, None] > 0.0)  # the first is none
+    for name, columns in {"t": T, "pos": TRUE * [1.0, 1.0, 0.0], "att": turn}.items():
+        (tmp_path / f"{name}.csv").write_text(lines_of(columns, separator=","))
+    (tmp_path / "0.csv").write_text(table({name: WHOLE[name] for name in ("x", "y", "theta")}))
+    values = scored.of([f"{tmp_path}/0.csv", f"{tmp_path}/t.csv+pos.csv+att.csv"])
+    assert (values["rmse_position_m"], values["matched"]) == (pytest.approx(0.1), 59)
 
 
 @pytest.mark.parametrize("form", ["column", "header", "blank", "bare", "places"])
@@ -197,11 +202,6 @@ def test_of_several_runs_in_a_file_one_is_named(scored, tmp_path, form):
         assert values["rmse_position_m"] == pytest.approx(0.1 + 0.5 * run)
 
 
-def test_a_column_t_behind_x_and_y_that_does_not_ascend_is_the_heading(scored):
-    both = [table({"x": pose[:, 0], "y": pose[:, 1], "t": np.sin(TURN)}) for pose in (MINE, TRUE)]
-    assert scored(*both)["rmse_heading_deg"] == pytest.approx(0.0, abs=1e-6)
-
-
 @pytest.mark.parametrize("apart", [5.0, 0.01])
 def test_paths_whose_rows_alternate_are_told_apart(scored, tmp_path, apart):
     each = [(t + 0.01 * k * (apart > 1.0), k, x + k * apart, y) for t, (x, y, _) in zip(T, MINE) for k in (0, 1)]
@@ -215,14 +215,11 @@ def test_quaternions_by_name_are_scaled_and_numbers_of_rows_are_no_stamps(scored
     q = {"qz": (0.05 + T) * np.sin(0.5 * TURN), "qw": (0.05 + T) * np.cos(0.5 * TURN), "qx": 0 * T, "qy": 0 * T}
     text = table({"t": np.arange(60.0), "x": MINE[:, 0], "y": MINE[:, 1], **q})
     assert scored(text, table(WHOLE | {"t": 1000.0 + T}))["rmse_heading_deg"] == pytest.approx(0.0, abs=1e-6)
+    flipped = [np.cos(0.5 * TURN) * (T > 0.0), 1.0 * (T == 0.0), 0 * T, np.sin(0.5 * TURN)]
+    first = table(dict(zip(["t", "x", "y", "q_1", "q_2", "q_3", "q_4"], [T, *MINE.T[:2], *flipped], strict=True)))
+    assert scored(first, table(WHOLE))["rmse_heading_deg"] == pytest.approx(0.0, abs=1e-6)
     kinds = "\n".join(f"{kind} {row}" for row in table(WHOLE, False, " ").splitlines() for kind in "LR")
     assert "rows hold L (60), R (60): name those of one kind" in scored(kinds, text, wrong=True)
-
-
-def test_rows_of_binary_numbers_are_read_by_their_number(scored, tmp_path):
-    assert "of rows of K doubles type" in scored(table(WHOLE), "\0", wrong=True)
-    np.column_stack([T, *MINE.T]).astype("<f4").tofile(tmp_path / "0.bin")
-    assert scored.of([f"{tmp_path}/0.bin:floats=4", f"{tmp_path}/0.csv"])["rmse_position_m"] < 1e-6
 
 
 def test_names_that_repeat_are_of_the_blank_column_before_them(scored):
@@ -235,7 +232,7 @@ def test_names_that_repeat_are_of_the_blank_column_before_them(scored):
     assert values["rmse_heading_deg"] < 1e-4
 
 
-def test_a_last_row_that_is_cut_off_is_left_out(scored, tmp_path):
+def test_a_last_row_that_is_cut_off_is_left_out_and_rows_may_end_before_the_header(scored, tmp_path):
     bare = table(WHOLE, False)
     for text in (bare, table(WHOLE), bare.replace(",", " ")):
         separator = " " if " " in text else ","
@@ -247,6 +244,17 @@ def test_a_last_row_that_is_cut_off_is_left_out(scored, tmp_path):
             assert f"line {len(rows)}, the last one, is cut off and left out: '11.8," in said[-1]
         cut = "\n".join([*rows[:-2], ends[0], rows[-1]])
         assert f":{len(rows) - 1}: " in scored(cut, text, wrong=True)
+    rows = [f"{t:.9g},{x:.9g},{y:.9g},1" + ",2" * (k % 4 == 0) for k, (t, (x, y, _)) in enumerate(zip(T, TRUE))]
+    text = "\n".join(["time,ins_x,ins_y,mode,more", *rows])
+    names = ("--columns", "truth.x=ins_x,truth.y=ins_y")
+    assert scored(table(WHOLE), text, flags=names)["rmse_position_m"] == pytest.approx(0.1)
+    path = read_path(str(tmp_path / "1.csv"), Manner(columns={"x": "ins_x", "y": "ins_y"}))
+    assert any("45 of 60 rows end before the header" in note for note in path.notes)
+    assert "ins_x may be x; type --columns truth.x=ins_x" in scored(table(WHOLE), text, wrong=True)
+    assert "4 fields" in scored(table(WHOLE), text, flags=("--columns", "truth.x=more,truth.y=ins_y"), wrong=True)
+    whole = [f"{row},2" if row.endswith(",1") else row for row in text.splitlines()]
+    lost = "\n".join([*whole[:5], whole[5].rpartition(",")[0], *whole[6:]])
+    assert "4 fields" in scored(table(WHOLE), lost, flags=names, wrong=True)  # one may lack any field
 
 
 @pytest.mark.parametrize("dated", [False, True])
@@ -287,20 +295,6 @@ def test_topics_as_columns_of_sparse_rows(scored, tmp_path):
     assert scored(text, flags=stated)["rmse_position_m"] == pytest.approx(expected)
     file.write_text(text + "\n")
     assert scored(flags=(f"{file}:/ekf", f"{file}:mocap/data"))["rmse_position_m"] == pytest.approx(expected)
-
-
-def test_rows_that_end_before_the_header(scored, tmp_path):
-    rows = [f"{t:.9g},{x:.9g},{y:.9g},1" + ",2" * (k % 4 == 0) for k, (t, (x, y, _)) in enumerate(zip(T, TRUE))]
-    text = "\n".join(["time,ins_x,ins_y,mode,more", *rows])
-    names = ("--columns", "truth.x=ins_x,truth.y=ins_y")
-    assert scored(table(WHOLE), text, flags=names)["rmse_position_m"] == pytest.approx(0.1)
-    path = read_path(str(tmp_path / "1.csv"), Manner(columns={"x": "ins_x", "y": "ins_y"}))
-    assert any("45 of 60 rows end before the header" in note for note in path.notes)
-    assert "ins_x may be x; type --columns truth.x=ins_x" in scored(table(WHOLE), text, wrong=True)
-    assert "4 fields" in scored(table(WHOLE), text, flags=("--columns", "truth.x=more,truth.y=ins_y"), wrong=True)
-    whole = [f"{row},2" if row.endswith(",1") else row for row in text.splitlines()]
-    lost = "\n".join([*whole[:5], whole[5].rpartition(",")[0], *whole[6:]])
-    assert "4 fields" in scored(table(WHOLE), lost, flags=names, wrong=True)  # one may lack any field
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ import scipy
 
 from data.columns.named import STAMP
 from data.csv_table import cut_off, is_number, symmetric
+from data.earth import placed
 from data.errors import LARGEST, DataError, UsageError
 from data.formats.arrays import ELEMENT, columns_of, is_arrays
 from data.formats.messages import cut_end, kinds_of, read_lines, runs_of
@@ -51,7 +52,7 @@ LISTS = (
 )  # fmt: skip
 """Last words of names NAME_1, NAME_2, ..., and what as many columns are."""
 RTKLIB = r"%\s+(GPST|UTC|JST)\s+latitude\(deg\)"  # The comment that names the columns of its solutions
-ABOUT_Z = 0.3  # Largest entries about x and y of quaternions of what drives on the ground
+ABOUT_Z = 0.3  # Largest part about x and y of quaternions of what is nearly upright: tilted by 35 deg
 EUROC = ("t", "x", "y", "z", "qw", "qx", "qy", "qz")
 
 
@@ -146,9 +147,15 @@ def layout_of(rows: Sequence[Sequence[str]]) -> str:
 
 
 def _off(P: Array) -> Array:
-    """How far the rotations of poses (n, 3, 4) are from any (n,)."""
+    """How far the rotations of poses (n, 3, 3 or 4) are from any (n,)."""
     R = P[:, :, :3]
     return np.asarray(np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0.0))
+
+
+def turns_in(rows: Array) -> int:
+    """The first of nine columns of rows (n, k) that are rotation matrices; -1 without such."""
+    begins = range(rows.shape[1] - 8)
+    return next((k for k in begins if np.median(_off(rows[:, k : k + 9].reshape(-1, 3, 3))) < UNIT), -1)
 
 
 def in_rows(text: Text, *, named: bool) -> Text:
@@ -210,8 +217,9 @@ def in_names(text: Text) -> Text:
             q[bad] = np.nan
             each = [[*map(repr, row)] for row in np.column_stack([P[:, :, 3], q])[:, -len(roles) :].tolist()]
         elif roles == POSE[4:] and all(map(is_number, chain(*each))):
-            far = np.abs(np.array(each, float)).max(axis=0)
-            roles = ("qw", *POSE[4:7]) if max(far[1:3]) < ABOUT_Z < far[0] else roles
+            square = np.array(each, float) ** 2  # nearer upright through the path
+            first, last = np.median(square[:, 1] + square[:, 2]), np.mean(square[:, 0] + square[:, 1])
+            roles = ("qw", *POSE[4:7]) if first < ABOUT_Z**2 < last else roles
         if roles:
             said.append(f"inferred: {names[at[0]]} to {names[at[-1]]} are {', '.join(roles)}")
             own = [stem.removesuffix(word) + role for role in roles]
@@ -277,8 +285,9 @@ def read_tum(text: Text, manner: paths.Manner) -> paths.GivenPath:
     """A TUM file, with covariances from `manner.cov` if given."""
     rows = numbers(text, POSE, huge=POSE[:1])
     time, clock = times_of(text, rows[:, 0], manner)
+    rows[:, 1:4], none = placed(rows[:, 1:4], "truth" * manner.true)
     if manner.cov is None:
-        return path_of(text, "TUM", (time, clock), rows, None, manner)
+        return path_of(text, "TUM", (time, clock), rows, None, manner, notes=none)
     side = read_text(manner.cov)
     kept = numbers(side, ("t", *TRIANGLE), huge=("t",))
     of_side, _ = times_of(side, kept[:, 0], manner, clock)

@@ -145,6 +145,7 @@ class GivenPath(Locked):
     transforms: object | None = None  # of other frames, from the same file; None: none
     headings: Array | None = None  # (n,) of a planar file before wrapping, without a stated unit; read as rad
     datum: tuple[float, ...] = ()  # latitude, longitude [deg], height [m] of the origin, of a file of such; else empty
+    every: Array | None = None  # (m,) s, of all rows of the file where some are left out; None: unknown
     runs: str = ""  # what to type where rows without stamps are of several runs
 
     def __len__(self) -> int:
@@ -196,7 +197,7 @@ def restamped(path: GivenPath, time: Array, clock: Clock) -> GivenPath:
     """The trajectory at other stamps (n,) [s]."""
     kind = path.kind.replace(path.clock.words, clock.words)
     space = None if path.space is None else replace(path.space, time=time, clock=clock, kind=kind)
-    return replace(path, time=time, clock=clock, kind=kind, space=space)
+    return replace(path, time=time, clock=clock, kind=kind, space=space, every=None)
 
 
 @dataclass(frozen=True)

@@ -2,12 +2,14 @@
 
 import math
 import re
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import chain, pairwise, product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -15,15 +17,16 @@ import scipy
 from data.columns.named import COVARIANCE, LENGTH, STAMP, YAW
 from data.csv_table import ends_early, is_number, symmetric
 from data.dates import EXAMPLE, IN_SECONDS, ISO, is_date, seconds_of, unit_of
-from data.earth import on_plane
+from data.earth import on_plane, placed
 from data.errors import DataError, UsageError, did_you_mean
-from data.formats.messages import kinds_of, runs_of, whole_names
+from data.formats.messages import kinds_of, parts_of, runs_of, whole_names
 from data.formats.results import lines, path as paths
 from data.formats.results.bags import file_and_topic, is_bag, is_table, read_bag
 from data.formats.results.lines import BLOCKS, ENTRIES, ENTRIES_6, EUROC, POSE, TRIANGLE, UNSTAMPED, Text
 from data.formats.results.path import ABSENT, DATES, DIGITS, LOCAL, MIXED, ROWS, WORLD, GivenPath, Manner, Stated
 from data.formats.results.space import UNIT, full, known_only, require_covariances
 from data.formats.wrapped import file_and_word
+from data.inputs import IntArray
 from data.questions.examination import in_degrees
 from data.se2 import Array, wrap_angle
 from data.terminal import counted
@@ -33,30 +36,17 @@ from data.terminal import counted
 # names and is not read is stated; a header without stamp, position or orientation is refused.
 
 STAMPS = frozenset((*STAMP, "sec", "secs", "second", "seconds", "tow"))
-PLACE = frozenset(("p", "pos", "position", "t", "trans", "translation", "transl", "loc", "location"))
-TURN = frozenset(("q", "quat", "quaternion", "rot", "rotation", "orientation", "ori", "att", "attitude"))
-AROUND = frozenset(("pose", "field", "gt", "true", "truth", "groundtruth", "est", "estimate", "estimated", "ref"))
-AROUND |= frozenset(("reference", "world", "map", "odom", "rs", "r", "header", "elapsed", "sim", "ros", "unix", "utc"))
-AROUND |= frozenset(("hat", "ekf", "ukf", "kf", "pf", "slam", "transform"))
-"""Words that may stand around the name of a column."""
-TRUE = frozenset(("gt", "true", "truth", "groundtruth"))  # Those of the true path, where a row holds both
-REFERENCE, ESTIMATED = frozenset(("ref", "reference")), frozenset(("est", "estimate", "estimated"))
-"""Those of the true path beside one of an estimate, and of that."""
-SIDES = TRUE | {"est", "estimate", "estimated", "hat", "ekf", "ukf", "kf", "pf", "slam", "odom", "ref"}
-"""Of these, those that may stand behind a name."""
-NANOSECONDS = frozenset(("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds"))  # Beside seconds, or alone
-GNSS = frozenset(("gps", "gnss", "rtk", "ins", "fix", "geo", "ref", "ellipsoid", "ellipsoidal"))
-"""Words that may stand around latitude, longitude, height."""
-EARTH = dict.fromkeys(("lat", "latitude"), "lat") | dict.fromkeys(("lon", "lng", "longitude"), "lon")
-EARTH |= dict.fromkeys(("alt", "altitude", "height", "elevation"), "alt")
+WORDS = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
+PLACE, TURN, AROUND, SIDES, TRUE, REFERENCE, ESTIMATED, NANOSECONDS, GNSS = (
+    frozenset[str](WORDS[kind].split())
+    for kind in ("place", "turn", "around", "sides", "true", "reference", "estimated", "nanoseconds", "gnss")
+)
+EARTH: dict[str, str] = {word: role for role, words in WORDS["earth"].items() for word in words.split()}
+ALIAS: dict[str, str] = {word: unit for unit, words in WORDS["units"].items() for word in words.split()}
+TRUER: list[str] = WORDS["truer"]
+OTHERS = [*WORDS["others"], *TRUER]
 ANGLES = {"roll": "roll", "pitch": "pitch", **dict.fromkeys(YAW, "yaw")}
 TURNS = {"rad": 1.0, "deg": np.pi / 180.0}
-ALIAS = (
-    {"sec": "s", "secs": "s", "seconds": "s", "second": "s", "msec": "ms", "milliseconds": "ms", "usec": "us"}
-    | {"millis": "ms", "millisec": "ms", "micros": "us"}
-    | {"µs": "us", "microseconds": "us", "nsec": "ns", "nanoseconds": "ns"}
-    | {"degree": "deg", "degrees": "deg", "°": "deg", "radian": "rad", "radians": "rad", "meters": "m", "meter": "m"}
-)
 AXES = PLACE | TURN | {*"xyzw", *ANGLES}  # Words of the columns of one path, beside which its name stands
 AXIS, PAIRED = "|".join(("x", "y", "z", *YAW)), "|".join(("x", "y", "t", *YAW))
 SPREAD = "(cov|covariance|var|variance|std|stddev|stdev|sd|sigma)"
@@ -207,15 +197,6 @@ def _sided(names: Sequence[str]) -> list[str]:
 
 
 WORD = "(?i)(?<![a-z])({})(?![a-z])"
-TRUER = (
-    "gt true truth groundtruth ground_truth mocap vicon optitrack", "ref reference desired target expected",
-    "actual real reality", "sim simulated",
-)  # fmt: skip
-OTHERS = (
-    "est", "pred predict predicted prediction filter filtered kalman fused corrected estimation vo vio mean mu",
-    "robot output meas measured noisy raw odometry", *TRUER,
-)  # fmt: skip
-"""Words of the true path in a row with another, the first of these that the row has; and those of the other one."""
 
 
 def _by_number(names: Sequence[str]) -> dict[str, str]:
@@ -373,6 +354,9 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
         notes += (f"inferred: stamps are dates, {IN_SECONDS}; --columns t=NAME names others",)
     notes += (f"inferred: --columns {columns.told}",) * bool(columns.told)
     datum: tuple[float, ...] = ()
+    axes = [q for q in (("lat", "lon") if "lat" in value else POSE[1:4]) if q in value]
+    at, none = placed(np.column_stack([value[q] for q in axes]), "truth" * manner.true)
+    value, notes = value | dict(zip(axes, at.T, strict=True)), notes + none
     if "lat" in value:  # in rad by now
         high = value.get("alt", np.full(len(body.fields), np.nan))
         each = np.column_stack([np.degrees(value["lat"]), np.degrees(value["lon"]), high])
@@ -570,6 +554,7 @@ def _planar(
     frame, raw = "" if P is None else WORLD, value["yaw"][keep] if angles is None and manner.angles is None else None
     kind = f"{kind}, {clock.words}"
     path = GivenPath(str(body.path), kind, time[keep], pose[keep], P, frame, notes=notes, clock=clock, headings=raw)
+    path = replace(path, every=time if (np.diff(time) > 0.0).all() else None)
     return paths.without_headings(path) if paths.unturned(path.pose[:, 2], path.pose[:, :2]) else path
 
 
@@ -606,7 +591,7 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
     elif path.is_dir() and not table:
         raise DataError.at(path, "a folder; a result is a file, or the folder of a run with online.csv or final.csv")
     else:
-        text = lines.in_rows(lines.read_text(Path(name)), named=bool(manner.columns))
+        text = lines.in_rows(read_text(Path(name)), named=bool(manner.columns))
         if text.cut.startswith(lines.COLMAP) and not (manner.axes or manner.inverse):
             manner = replace(manner, inverse=paths.INVERSE[0])
         text = _without_words(text if manner.columns.keys() - {"t"} else lines.in_names(text), manner)
@@ -627,6 +612,66 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
         if value is not None and found.covariance is None:
             raise UsageError(f"{flag} {value}: {name} has no covariance")
     return found
+
+
+class Side(NamedTuple):
+    """Names of the columns, rows without those, and whether a header has the names, of one file of several."""
+
+    path: Path
+    names: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    named: bool
+
+
+def side_by_side(path: Path, sides: Sequence[Side]) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], str]:
+    """Names and rows of files side by side, each row of the first with those nearest in time where all have stamps of
+    their own, which is said; columns without names have those of their file. DataError for unequal numbers of rows.
+    """
+    stamps = [[k for k, name in enumerate(s.names) if s.named and {*words_of(name)[0]} & {*STAMP}] for s in sides]
+    stamps = [[k for k in own if "header" in s.names[k]] or own for s, own in zip(sides, stamps, strict=True)]
+    texts = [[row[k] for row in s.rows] for s, own in zip(sides, stamps, strict=True) for k in own[: len(own) < 2]]
+    near = [np.arange(len(s.rows)) for s in sides]
+    apart = len(texts) == len(sides) and any(own != texts[0] for own in texts) and all(map(is_number, chain(*texts)))
+    times = [np.array(own, float) for own in texts] if apart else []
+    if apart := apart and all((np.diff(time) >= 0.0).all() for time in times):
+        near[1:] = [_nearest(time, times[0]) for time in times[1:]]
+    elif len({*map(len, near)}) > 1:
+        what = f"files of unequal numbers of rows ({', '.join(f'{s.path.name} {len(s.rows)}' for s in sides)})"
+        raise DataError.at(path, f"{what}; as many in each are needed, or a column of stamps")
+    held = dict[tuple[str, tuple[str, ...]], None]()  # the same stamps once
+    for side, own, rows in zip(sides, stamps, near, strict=True):
+        for j, name in enumerate(side.names):
+            stem = side.path.stem + name * (len(side.names) > 1)
+            column = tuple(side.rows[k][j] if k >= 0 else "" for k in rows.tolist())
+            if side is sides[0] or not apart or j not in own:
+                held[name if side.named and not name.isdecimal() else stem, column] = None
+    others = ", ".join(s.path.name for s in sides[1:])
+    said = f"beside each row of {sides[0].path.name} those of {others} nearest in time" * apart
+    return tuple(name for name, _ in held), tuple(zip(*(column for _, column in held), strict=True)), said
+
+
+def _nearest(time: Array, at: Array) -> IntArray:
+    """The rows of ascending stamps (n,) nearest to others (m,); -1 for those more than a usual step outside."""
+    near = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
+    near -= at - time[near - 1] < time[near] - at
+    step = np.median(np.diff(time, prepend=time[0]))
+    return np.where((time[0] - step <= at) & (at <= time[-1] + step), near, -1)
+
+
+def read_text(path: Path) -> Text:
+    """The rows of a file, or of those of FIRST+SECOND+... side by side, below their names."""
+    if path.is_dir() or len(parts := parts_of(path)) < 2:
+        return lines.read_text(path)
+    texts, sides = [lines.read_text(part) for part in parts], list[Side]()
+    for text in texts:
+        rows, above = text.fields, [line.strip("#% ") for k, line in text.comments if k < text.line[0]][-1:]
+        heads = [rows[0], *(lines.split(line, "," * text.commas or None) for line in above)]
+        head = next((n for n in heads if 2 * sum(map(is_number, n)) < len(n) == len(rows[0])), ())
+        rows = rows[1:] if head == rows[0] else rows
+        sides.append(Side(text.path, head or [str(k + 1) for k in range(len(rows[0]))], rows, bool(head)))
+    names, below, said = side_by_side(path, sides)
+    line = (texts[0].line[0], *texts[0].line[-len(below) :])
+    return Text(path, (names, *below), line, (), True, {}, "; ".join(filter(None, (said, *(t.cut for t in texts)))))
 
 
 def _without_words(text: Text, manner: Manner) -> Text:
@@ -667,6 +712,10 @@ def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:
     shown += f", {','.join(text.fields[odd])[:40]!r}"
     example = ",".join(f"{'truth.' * manner.true}{q}={n}" for q, n in likely(text.fields).items())
     what = f"{shown}: no known trajectory format; {ACCEPTED} is needed, or columns by number: --columns {example}"
+    numbers = not odd and all(map(is_number, chain(*text.fields)))
+    if numbers and (k := lines.turns_in(np.array(text.fields, float))) >= 0:
+        what = f"columns {k + 1} to {k + 9} are a rotation matrix, {len(first) - 9} others have no names: a header is "
+        what += f"needed, as in x,y,z,r11,...,r33, or places in another file, as in POSITIONS+{text.path}"
     what += kinds_of(text.path, text.fields) or runs_of(text.path)
     raise DataError.at(text.path, what, line=text.line[odd])
 
@@ -699,8 +748,7 @@ def only_reading(fields: Sequence[Sequence[str]]) -> dict[str, str]:
         steady = ascend and np.quantile(dt, 0.9) < most * np.quantile(dt, usual)
         chords = [span for span in SPANS if span == 1 or (len(roles) == 4 and CHORDS * span < len(rows))]
         follows = "yaw" not in roles or any(_follows(place, column["yaw"], span, ascend) for span in chords)
-        near = np.ptp(place, axis=1).max() > FEW * np.abs(place).max()
-        if near and follows and ("t" not in roles or steady):
+        if np.ptp(place, axis=1).max() > FEW * np.abs(place).max() and follows and ("t" not in roles or steady):
             fine.append(roles)
     fine = fine or [roles for roles in (earth, _turned(rows)) if roles]
     return {role: str(k + 1) for k, role in enumerate(fine[0])} if len(fine) == 1 else {}
@@ -736,7 +784,7 @@ def _on_earth(fields: Sequence[Sequence[str]], rows: Array) -> tuple[str, ...]:
 
 def _turned(rows: Array) -> tuple[str, ...]:
     """Roles of columns of a place and a unit quaternion, with or without a stamp, maybe with more behind; else none."""
-    if lines.layout_of([[*map(str, row[:12])] for row in rows.tolist()]):
+    if lines.layout_of([[*map(str, row[:12])] for row in rows.tolist()]) or lines.turns_in(rows) >= 0:
         return ()
     stamps = len(rows) > 1 and bool((np.diff(rows[:, 0]) > 0.0).all())
     found = []
@@ -766,8 +814,7 @@ def holds_both(name: str) -> bool:
         return False
     try:
         found = [
-            header_names(lines.in_names(lines.read_text(Path(name))), Manner(true=side, rows=True))
-            for side in (False, True)
+            header_names(lines.in_names(read_text(Path(name))), Manner(true=side, rows=True)) for side in (False, True)
         ]
     except DataError:  # of several that name a position, which reading it will say
         return True

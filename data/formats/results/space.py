@@ -60,8 +60,7 @@ def on_plane(spatial: Spatial, manner: Manner) -> GivenPath:
         notes += (f"{len(s) - len(rows)} of {len(s)} poses have a NaN and are left out, the first at {s.place(first)}",)
     keep = rows[in_order(s.file, s.time[rows], s.position[rows])]
     if len(keep) < len(rows):
-        shared = len(rows) - len(keep)
-        notes += (f"{shared} of {len(rows)} poses share their stamp with a later one, which is used",)
+        notes += (f"{len(rows) - len(keep)} of {len(rows)} poses share their stamp with a later one, which is used",)
     p, R = s.position[keep], s.rotation[keep]
     C = None if C is None else C[keep]
     if (manner.axes or (CAMERA if s.stated.axes else "")) == CAMERA:
@@ -81,7 +80,7 @@ def on_plane(spatial: Spatial, manner: Manner) -> GivenPath:
     whole = replace(
         s, time=s.time[keep], position=p, rotation=R, covariance=C, frame=frame, place=place, notes=notes, stated=stated
     )
-    return flattened(whole)
+    return replace(flattened(whole), every=s.time if (np.diff(s.time) > 0.0).all() else None)
 
 
 def flattened(s: Spatial) -> GivenPath:

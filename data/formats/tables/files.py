@@ -9,6 +9,7 @@ import csv
 import itertools
 import math
 import re
+import tomllib
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,13 +24,13 @@ import numpy as np
 from data.columns.named import LENGTH, STAMP, unused
 from data.csv_table import Table, cut_off, ends_early, is_number
 from data.dates import DATES, DMY, EXAMPLE, MDY, is_date, seconds_of, unit_of, whole_dates
-from data.earth import on_plane
+from data.earth import on_plane, placed
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import ELEMENT, WIDE, columns_of, is_arrays, solids
 from data.formats.messages import LISTED, cut_end, kinds_of, parts_of, read_lines, whole_names
 from data.formats.recordings.ros import table_of
 from data.formats.results.bags import file_and_topic
-from data.formats.results.reading import RATES, REFERENCE, TRUE, role_of, topics_in, words_of
+from data.formats.results.reading import RATES, Side, role_of, side_by_side, topics_in, words_of
 from data.inputs import IntArray
 from data.notice import Notice
 from data.origin import Origin
@@ -351,50 +352,14 @@ def _by_rows(
 def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
     """One table of files: a folder's one below the other, numbered as `frame`, else side by side."""
     tables = [read_text(part) for part in parts]
-    first, below = tables[0], path.is_dir()
-    if not below and (nearest := _by_stamp(path, tables)) is not None:
-        return nearest
-    if len({len(t.names) if below else len(t) for t in tables}) > 1:
-        what = f"files of unequal numbers of {'columns' if below else 'rows'}; as many in each are needed"
-        raise DataError.at(path, what + ", or a column of stamps" * (not below))
-    if below:
-        names = ["frame", *first.names]
-        rows = tuple((str(k), *row) for k, t in enumerate(tables) for row in t.rows)
-    else:
-        columns = ((t, zip(t.names, zip(*t.rows, strict=True), strict=True)) for t in tables)
-        each = [(t, name, column) for t, own in columns for name, column in own]
-        stems = [t.path.stem + name * (len(t.names) > 1) for t, name, _ in each]
-        named = [name if t.named and not name.isdecimal() else o for (t, name, _), o in zip(each, stems, strict=True)]
-        held = dict.fromkeys(zip(named, (column for *_, column in each), strict=True))  # the same stamps once
-        names, rows = [name for name, _ in held], tuple(zip(*(column for _, column in held), strict=True))
-    return TextTable(path, tuple(names), rows, np.arange(1, len(rows) + 1), named=True)
-
-
-def _by_stamp(path: Path, tables: Sequence[TextTable]) -> TextTable | None:
-    """Rows of the first table, each with the nearest in time of the others; None: one has none, or all are equal."""
-    stamps = [[k for k, name in enumerate(t.names) if t.named and {*words_of(name)[0]} & {*STAMP}] for t in tables]
-    stamps = [[k for k in own if "header" in t.names[k]] or own for t, own in zip(tables, stamps, strict=True)]
-    if not all(len(found) == 1 for found in stamps):
-        return None
-    texts = [[row[k] for row in t.rows] for t, (k,) in zip(tables, stamps, strict=True)]
-    if all(own == texts[0] for own in texts) or not all(map(is_number, itertools.chain(*texts))):
-        return None
-    times = [np.array(own, float) for own in texts]
-    if not all((np.diff(time) >= 0.0).all() for time in times):
-        return None
-    first, rows = tables[0], [*tables[0].rows]
-    names = [*first.names]
-    for table, (own,), time in zip(tables[1:], stamps[1:], times[1:], strict=True):
-        near = np.clip(np.searchsorted(time, times[0]), 1, len(time) - 1)
-        near -= times[0] - time[near - 1] < time[near] - times[0]
-        step = np.median(np.diff(time, prepend=time[0]))
-        there = (time[0] - step <= times[0]) & (times[0] <= time[-1] + step)
-        names += [name for k, name in enumerate(table.names) if k != own]
-        for k, (row, inside) in enumerate(zip(near.tolist(), there.tolist(), strict=True)):
-            fields = tuple(field for j, field in enumerate(table.rows[row]) if j != own)
-            rows[k] = (*rows[k], *(fields if inside else [""] * len(fields)))
-    said = f"beside each row of {first.path.name} those of {', '.join(t.path.name for t in tables[1:])} nearest in time"
-    return replace(first, path=path, names=tuple(names), rows=tuple(rows), cut=said)
+    if not path.is_dir():
+        names, rows, said = side_by_side(path, [Side(t.path, t.names, t.rows, t.named) for t in tables])
+        return TextTable(path, names, rows, tables[0].line, named=True, cut=said)
+    if len({len(t.names) for t in tables}) > 1:
+        raise DataError.at(path, "files of unequal numbers of columns; as many in each are needed")
+    names = ("frame", *tables[0].names)
+    rows = tuple((str(k), *row) for k, t in enumerate(tables) for row in t.rows)
+    return TextTable(path, names, rows, np.arange(1, len(rows) + 1), named=True)
 
 
 def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
@@ -486,14 +451,8 @@ DIMENSIONS = {"length": LENGTH | {"mi": 1609.344, "nmi": 1852.0}, "angle": ANGLE
 
 STAMPS = ("t", "t1", "t2")
 INSTANTS = {*STAMPS, "frame", "frame1"}
-QUANTITIES = {
-    **dict.fromkeys((*STAMPS, "dt"), "time"), **dict.fromkeys(("x", "y", "dx", "dy", "range", "sx", "sy"), "length"),
-    **dict.fromkeys(("theta", "dtheta", "bearing", "stheta", "steering", "lat", "lon"), "angle"),
-    "v": "length/time", "vy": "length/time", "omega": "angle/time",
-    **dict.fromkeys(("left", "right", "frame", "id", "true_id", "label", "qx", "qy", "qz", "qw"), ""),
-    **dict.fromkeys(("frame1", "frame2", "source", "descriptor", "class", "kind"), ""),
-}  # fmt: skip
-"""Quantities of columns, and their dimensions; rates are per second by default, lat and lon in degrees."""
+NAMES = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
+QUANTITIES: dict[str, str] = {q: dimension for dimension, of in NAMES["dimensions"].items() for q in of.split()}
 
 
 @dataclass(frozen=True)
@@ -579,30 +538,10 @@ SPEED = ("velocity", "vel", "v", "speed", "omega", "w")  # Words of the speed of
 HOLDING = ("data", "message", "msg", "payload")  # Words of objects within an object
 WHEEL = "|".join((*HOLDING, "wheels?", *SPEED, "ticks?|counts?|position|pos|angle|joint|encoders?|enc|phi"))
 WHEELS = {side: re.compile(f"(?!{side[0]}$)(?:{WHEEL})*(?:{side}|{side[0]})(?:{WHEEL})*") for side in ("left", "right")}
-ALSO = {
-    "v": ("velocity", "vel", "speed", "linearvelocity", "linearspeed", "linvel", "forwardvelocity", "forwardspeed"),
-    "omega": (
-        *("w", "wz", "yawrate", "angularvelocity", "angularvelocityz", "angularspeed", "angvel", "turnrate", "gyroz"),
-    ),
-    "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg", "b", "phi", "azimuth"),
-    "dx": ("d", "ds", "deltas", "deltad", "deltax"), "dy": ("deltay",), "dtheta": ("deltatheta", "deltayaw", "dyaw"),
-    "steering": ("steer", "steeringangle"), "dt": ("deltat", "deltatime", "timestep"),
-    "x": ("gpsx", "uwbx", "east", "easting", "relx", "xrel", "localx", "xlocal"),
-    "y": ("gpsy", "uwby", "north", "northing", "rely", "yrel", "localy", "ylocal"), "theta": ("orientation",),
-    **dict.fromkeys(("label", "id"), ("landmarkid", "beaconid", "markerid", "tagid")),
-    "lat": ("latitude",), "lon": ("longitude", "lng"),
-    "frame": ("poseid", "frameid"), "frame1": ("fromid", "idfrom"), "frame2": ("toid", "idto"),
-}  # fmt: skip
+ALSO, TWIST = ({q: (*words.split(),) for q, words in NAMES[kind].items()} for kind in ("also", "twist"))
+PARTS, ALSO_OF = ({of: frozenset(words.split()) for of, words in NAMES[kind].items()} for kind in ("parts", "kinds"))
 WITHIN = ("frame", "frame1", "frame2")
-"""Other usual names of a quantity, in small letters only, beside those of results (`role_of`); read, with the unit at
-their end, where a file has exactly one of them."""
-
-
 AGAIN = 3  # Least usual number of observations of a landmark
-TWIST = {
-    "v": ("linearx", "velx", "velocityx", "linearvelx"), "omega": ("angularz", "angularvelocityz", "angularvelz"),
-}  # fmt: skip
-"""Ends of names of velocities along and about an axis of the robot."""
 
 
 def _sideways(file: TextTable, column: int) -> bool:
@@ -621,19 +560,6 @@ def _comes_again(file: TextTable, column: int) -> bool:
     each = np.split(number, np.flatnonzero(np.diff(number, prepend=np.inf) <= 0.0)[1:])
     counted_up = all((np.diff(some) == 1.0).all() and some[0] == number.min() for some in each)
     return not (counted_up and len(set(map(len, each))) > 1)
-
-
-PARTS = {
-    "odometry": frozenset(("odom", "odometry", "wheel", "encoder", "enc")),
-    "observations": frozenset(
-        ("obs", "observation", "meas", "measurement", "detection", "cone", "feature", "landmark", "lm", "beacon")
-    ),
-    "fixes": frozenset(("gps", "gnss", "uwb", "rtk", "fix")),
-    "truth": TRUE | REFERENCE | {"ground", "vicon", "mocap", "optitrack", "actual"},
-}  # fmt: skip
-"""Words in the name of a column, in the singular, that tell the part it is of."""
-ALSO_OF = {"odometry": {"motion", "control", "ctrl", "cmd", "vel"}, "observations": {"sensor", "range", "bearing"}}
-"""Words of a kind of rows, beside those of `PARTS`."""
 
 
 def kinds_by_part(path: Path) -> dict[str, Path]:
@@ -748,8 +674,7 @@ class Columns:
     def tells(self, file: TextTable, role: str) -> list[str]:
         """Names of the columns of a place in a file whose names tell that they are of this role; none without both."""
         for pair in (["x", "y"], [*EARTH.values()]) if not any("/" in name for name in topics_in(file.names)) else ():
-            columns = [self.find(file, role, q) for q in pair]
-            names = [file.names[c] for c in columns if c is not None]
+            names = [file.names[c] for q in pair if (c := self.find(file, role, q)) is not None]
             parts = [meaning(name)[0] or ("fixes",) * (pair[0] == EARTH["x"]) for name in names]
             if len(names) == len(pair) and all(role in of for of in parts):
                 return names
@@ -1004,18 +929,9 @@ class Columns:
                 if q in ("range", "bearing"):
                     self.notes.append(f"{file.path.name}: {q} is {said}: was nothing measured there? Leave them out")
         if role in ("truth", "fixes") and {"x", "y"} <= {*values}:
-            at = np.stack([values["x"], values["y"]])
-            none = ~at.any(axis=0)
-            rest = at[:, ~none & np.isfinite(at).all(axis=0)]
-            step, near = np.hypot(*np.diff(rest)).max(initial=0.0), np.hypot(*rest).min(initial=np.inf)
-            early = np.logical_and.accumulate(none)
-            if not 0.0 < APART * step < near:  # several fixes at first, a leap before the others
-                leap = role == "fixes" and early.sum() > 1 and rest.size and 0.0 < step < np.hypot(*rest[:, 0])
-                none = early & bool(leap)
-            if none.any():
-                some = f"{counted(int(none.sum()), 'place')} of {role} at 0, 0, far from all others"
-                self.notes.append(f"{file.path.name}: {some}: left out, as none was measured yet")
-                values |= {q: np.where(none, np.nan, values[q]) for q in ("x", "y")}
+            at, none = placed(np.column_stack([values["x"], values["y"]]), role, first=role == "fixes")
+            self.notes += [f"{file.path.name}: {some}" for some in none]
+            values |= {"x": at[:, 0], "y": at[:, 1]}
         if earth:
             place = np.stack([values["y"], values["x"], 0.0 * values["x"]], axis=-1)
             for k, (q, sides) in enumerate((("y", "NS"), ("x", "EW"))):  # the hemisphere, in the next column
@@ -1068,7 +984,7 @@ def unmeasured(values: Array) -> tuple[int, int, bool] | None:
     return None
 
 
-REPEATED, BEYOND, LEVELS, APART = 3, 10.0, 20, 50.0
+REPEATED, BEYOND, LEVELS = 3, 10.0, 20
 """Least number of fields with a value that stands for none; how many times it is as large, or as frequent, as any
 other; least number of different values; how many steps places at 0, 0 that stand for none are away.
 """

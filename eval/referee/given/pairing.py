@@ -150,10 +150,12 @@ def same_clock(a: GivenPath, b: GivenPath, name: str, *, moved: bool = False) ->
     their steps differ by the same power of a thousand, or where two files, of which one has no stamps, have unequal
     numbers of poses; `name` is that of `a` in flags; `moved`: by how much is stated, from the first rows on.
     """
-    for lacking, other in ((a, b), (b, a)):
+    every = [f.time if f.every is None else f.every for f in (a, b)]
+    every = every if (same := len(every[0]) == len(every[1])) else [a.time, b.time]
+    for lacking, other, (own, theirs) in ((a, b, every), (b, a, every[::-1])):
         if lacking.clock.by != ROWS and not _counts_rows(lacking, other):
             continue
-        k = rows_apart(a, b) if len(a) != len(b) and not moved else 0
+        k = rows_apart(a, b) if not same and not moved else 0
         if k is None:
             if lacking.clock.by != ROWS:
                 continue
@@ -161,17 +163,16 @@ def same_clock(a: GivenPath, b: GivenPath, name: str, *, moved: bool = False) ->
             flag = f"--times {name if lacking is a else 'truth'}=FILE, a stamp [s] a line"
             where = f"--time-offset {name}=0 where both begin together"
             raise DataError.at(lacking.file, f"{what} As many in both are needed, or {flag}, or {where}{lacking.runs}")
-        at = np.arange(len(lacking)) + (k if lacking is a else -k)
-        time = np.interp(at, np.arange(len(other)), other.time)
-        time += (at - np.clip(at, 0, len(other) - 1)) * float(np.median(np.diff(other.time)))
-        why = ", before --time-offset" if moved else ", as motions fit best so" * (len(a) != len(b))
+        at = np.searchsorted(own, lacking.time) + (k if lacking is a else -k)
+        time = np.interp(at, np.arange(len(theirs)), theirs)
+        time += (at - np.clip(at, 0, len(theirs) - 1)) * float(np.median(np.diff(theirs)))
+        why = ", before --time-offset" if moved else ", as motions fit best so" * (not same)
         said = f"inferred: row {1 + max(0, -k)} of {a.file} is of row {1 + max(0, k)} of {b.file}{why}"
-        told = a if lacking.clock.by == ROWS and len(a) == len(b) else replace(a, notes=(*a.notes, said))
+        told = a if lacking.clock.by == ROWS and same else replace(a, notes=(*a.notes, said))
         return (restamped(told, time, b.clock), b) if lacking is a else (told, restamped(b, time, a.clock))
     a, b = _plain_if_better(a, b), _plain_if_better(b, a)
     (span_a, step_a), (span_b, step_b) = _span(a), _span(b)
-    sure = {a.clock.by, b.clock.by} & {paths.ASSUMED, paths.RATE}
-    if sure and min(span_a, span_b, step_a, step_b) > 0.0:
+    if {a.clock.by, b.clock.by} & {paths.ASSUMED, paths.RATE} and min(span_a, span_b, step_a, step_b) > 0.0:
         for name, factor in [*((n, 10.0**digits) for n, digits in paths.DIGITS.items()), ("min", 60.0)]:
             for slow, fast, spans, steps in (
                 (a, b, span_a / span_b, step_a / step_b),
@@ -326,7 +327,8 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
         back = first[0] > 0 and last[-1] + 1 < len(pair.estimate)
         yield notice(Code.PATH_OUTLIERS, file=pair.estimate.file, first=first, last=last, back=back)
     t, ours = pair.truth, pair.estimate
-    if t is not None and t.file != ours.file and t.covariance is not None and ours.covariance is None:
+    states = t is not None and t.space is not None and t.space.stated.world  # a message, which has room for them
+    if t is not None and t.file != ours.file and t.covariance is not None and ours.covariance is None and not states:
         yield notice(Code.PATH_SWAPPED, estimate=ours.file, truth=t.file)
     yield from _order(pair, known)
     if t is not None and not pair.in_rows and t.clock.by == ours.clock.by == ROWS and len(t) == len(ours):
@@ -415,21 +417,23 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     if not known.any() or _first_is_w(path) or _first_is_w(truth):
         return
     ours, theirs = ours.of(known), at.of(known)
-    tilt = float(np.median(tilts(ours, theirs)))
-    if tilt <= TILTED:
-        level = max(float(np.max(np.abs(v))) for v in (ours.rotation[:, 2, :2], theirs.rotation[:, 2, :2]))
-        if level > 1e-6:
-            yield notice(Code.TILT, tilt=math.degrees(tilt), poses=int(known.sum()))
-        return
+    tilt = float(np.median(tilts(ours, theirs)))  # a fit of places on a line may turn the estimate about it
+    level = min(tilt, float(np.median(tilts(poses(both.original).of(known), theirs)))) <= TILTED
     bodies = np.swapaxes(ours.rotation, -1, -2) @ theirs.rotation
-    same_world = _spread(theirs.rotation @ np.swapaxes(ours.rotation, -1, -2)) <= _spread(bodies)
+    spread = _spread(theirs.rotation @ np.swapaxes(ours.rotation, -1, -2)), _spread(bodies)
     of = scipy.spatial.transform.Rotation  # whether quaternions fit the truth's tilt when their first number is w
     turned = of.from_quat(np.roll(of.from_matrix(ours.rotation.copy()).as_quat(), -1, axis=1)).as_matrix()
     fitted = np.median(tilts(Poses(ours.position, turned), theirs))
-    first = bool(not both.estimate.stated.axes and _same_vertical(ours, theirs) and fitted < 0.5 * TILTED)
-    which = "quaternion" if first else "world" if same_world else "body"
-    flags, degrees = ("--axes NAME=camera",) * (which != "body" or _apart(ours, theirs)[1] < SURELY), math.degrees(tilt)
-    yield notice(Code.PATH_TILT, estimate=path.file, truth=truth.file, tilt=degrees, which=which, flags=flags)
+    first = not (level or both.estimate.stated.axes) and fitted < 0.5 * TILTED and _same_vertical(ours, theirs)
+    tips = not level and not first and min(spread) > tilt  # no turn of axes explains it
+    if level or tips:
+        if np.abs([ours.rotation[:, 2, :2], theirs.rotation[:, 2, :2]]).max() > 1e-6:
+            yield notice(Code.TILT, tilt=math.degrees(tilt), poses=int(known.sum()), tips=tips)
+        return
+    which = "quaternion" if first else "world" if spread[0] <= spread[1] else "body"
+    flags = ("--axes NAME=camera",) * (which != "body" or _apart(ours, theirs)[1] < SURELY)
+    degrees = dict(zip(("tilt", "left"), np.degrees([tilt, spread[1]]).tolist(), strict=True))
+    yield notice(Code.PATH_TILT, estimate=path.file, truth=truth.file, which=which, flags=flags, **degrees)
 
 
 FITS = 0.05  # largest RMS error of a fit, as a share of the path's size

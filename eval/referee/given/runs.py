@@ -103,13 +103,7 @@ class Match:
         """The counts, and lengths in the plane of the matched paths of poses (n, 3) and the truth."""
         error = self.error if math.isfinite(self.error) else None
         poses, between = self.matched + self.unmatched, self.interpolated
-        counts: dict[str, Any] = {
-            "matched": self.matched,
-            "poses": poses,
-            "between": between,
-            "error": error,
-            "apart": self.apart,
-        }
+        counts = dict[str, Any](matched=self.matched, poses=poses, between=between, error=error, apart=self.apart)
         if pose is not None and len(pose) == len(self.truth):
             both = np.isfinite(pose[:, :2] + self.truth[:, :2]).all(axis=1)
             ways = (float(np.hypot(*np.diff(p[both, :2], axis=0).T).sum()) for p in (pose, self.truth))
@@ -280,8 +274,7 @@ def given_run(
         fit = aligning(poses(last.space), at, align)
         for phase, path in paths.items():
             assert path.space is not None  # all phases are of one format
-            aligned = path.space if fit is None else fit.of(path.space)
-            space[phase] = InSpace(aligned, at, path.space, pairs)
+            space[phase] = InSpace(path.space if fit is None else fit.of(path.space), at, path.space, pairs)
         paths = paths if fit is None else {k: flattened(space[k].estimate) for k in paths}
         T = None if fit is None else fit.planar
     else:
