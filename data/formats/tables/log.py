@@ -23,7 +23,7 @@ from data.formats.recordings.laser import FLOOR, without_odometry
 from data.formats.results.bags import file_and_topic
 from data.formats.results.path import ABSENT, COARSE, in_order, unturned
 from data.formats.second_odometry import together
-from data.formats.tables.files import QUATERNION, SCANS, SECOND, TextTable, headings, nothing_there
+from data.formats.tables.files import QUATERNION, SCANS, SECOND, STARRED, TextTable, headings, nothing_there
 from data.formats.tables.motion import Odometry, other_rate, pose_columns, read_odometry, read_second, second_closures
 from data.formats.tables.request import LOOKS, OBSERVATIONS, SENSOR, TableSensor, Wanted
 from data.formats.tables.scans import read_scans
@@ -84,8 +84,11 @@ def _instants(
     t, of = (wanted.columns.find(file, role, q) for q in (stamps[0], rows[0]))
     unstamped = t is not None and of is not None and any(row[of] and not row[t] for row in file.rows)
     stamped = odometry.stamped and t is not None and not unstamped
-    if t is None and of is None and role == "fixes" and file is wanted.texts["odometry"]:
-        return (), False  # in the rows of the odometry
+    own, poses = file is wanted.texts["odometry"], len(odometry.rows)
+    if t is None and of is None and role == "fixes" and (own or _in_order(file, wanted, poses)):
+        told = f"{file.path.name}: inferred: its rows are those of the odometry in order, {len(file)} of {poses}"
+        wanted.columns.notes += [told] * (not own)
+        return (), False
     if not stamped and of is None:
         wanted.columns.require(file, role, (stamps if odometry.stamped else rows)[:1])
     return (stamps, True) if stamped else (rows, False)
@@ -242,17 +245,26 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
 FEW, MARK = 0.1, 3  # Largest share of negative ranges, and least number of equal ones, that are left out
 
 
+def _in_order(file: TextTable, wanted: Wanted, poses: int) -> bool:
+    """Whether fixes without stamps in a file of their own are of the poses in their order."""
+    return len(file) == poses and _unstamped(file, "fixes", wanted)
+
+
+def _unstamped(file: TextTable, role: str, wanted: Wanted) -> bool:
+    """Whether a role has neither stamps nor frames, nor in a file of its own a column that ascends as these do."""
+    found = {q: wanted.columns.quiet.find(file, role, q) for q in ("t", "frame", *STARRED, "theta", *SIGMAS)}
+    own = [*wanted.texts.values()].count(file) == 1
+    others = [v for k, v in enumerate(zip(*file.rows, strict=True)) if own and k not in found.values()]
+    stamps = [v for v in others if all(map(is_number, v)) and (np.diff(np.array(v, float)) >= 0.0).all()]
+    return found["t"] is None and found["frame"] is None and all(v[0] == v[-1] for v in stamps)
+
+
 def _rows_a_step(file: TextTable, of: TableSensor, wanted: Wanted, poses: int) -> tuple[int, int]:
     """Of observations without stamp and frame: how many each step (or pose) has, and the number of steps; else 0, 0."""
-    own = [*wanted.texts.values()].count(file) == 1
-    c, *more = (wanted.columns.find(file, of.role, q) for q in (of.measured[0], "t", "frame", of.measured[-1]))
+    c = wanted.columns.find(file, of.role, of.measured[0])
     rows = max((k + 1 for k, row in enumerate(file.rows) if row[c or 0]), default=1)
     found = [n for n in (poses, poses - 1) if n and rows % n == 0 and (n == poses or wanted.kind == "steps")]
-    others = [v for k, v in enumerate(zip(*file.rows, strict=True)) if own and k not in (c, more[2])]
-    stamps = [v for v in others if all(map(is_number, v)) and (np.diff(np.array(v, float)) >= 0.0).all()]
-    if not found or more[:2] != [None, None] or any(v[0] != v[-1] for v in stamps):  # of another name
-        return 0, 0
-    return rows // found[0], found[0]
+    return (rows // found[0], found[0]) if found and _unstamped(file, of.role, wanted) else (0, 0)
 
 
 def _landmarks_in_turn(seen: Array, of: TableSensor, wanted: Wanted) -> tuple[IntArray, str]:
