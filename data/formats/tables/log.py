@@ -148,6 +148,8 @@ def read_fixes(file: TextTable, wanted: Wanted, odometry: Odometry, notes: list[
         notes.append("assumed: --fix-sigma 1m,1m,5deg")
     of_file = np.searchsorted(file.line, table.line)
     at = _at(table, keys, stamped, odometry, notes) if keys else odometry.rows[of_file][:, None]
+    if len({*map(tuple, z[np.isfinite(z[:, 0]), :2].tolist())}) > 2 and not np.ptp(at):
+        raise table.error(1, keys[0], f"the same of {len(z)} fixes at different places, so no instant; leave it out")
     found = _measured(role, table, file.path, at, stamped, z, default)
     filled = ~np.isnan(z).all(axis=1)
     if not filled.all():
@@ -246,8 +248,9 @@ FEW, MARK = 0.1, 3  # Largest share of negative ranges, and least number of equa
 
 
 def _in_order(file: TextTable, wanted: Wanted, poses: int) -> bool:
-    """Whether fixes without stamps in a file of their own are of the poses in their order."""
-    return len(file) == poses and _unstamped(file, "fixes", wanted)
+    """Whether fixes without stamps in a file of their own are of the poses, or the first of steps, in their order."""
+    few = wanted.kind == "steps" and len(file) < poses < 2 * len(file)
+    return (few or len(file) == poses) and _unstamped(file, "fixes", wanted)
 
 
 def _unstamped(file: TextTable, role: str, wanted: Wanted) -> bool:
@@ -339,13 +342,20 @@ def _between(wanted: Wanted) -> bool:
         first, last = (n[np.isfinite(n)] for n in (file.numbers(c, np.ones(len(file), bool)) for c in ends))
         return bool((last == first + 1.0).all() and (np.diff(first) == 1.0).all())
     places = [(file, columns.find(file, "odometry", "dx"))]
-    places += [(t, columns.find(t, "truth", "x")) for t in [texts.get("truth")] if t is not None]
-    steps, *true = (sum(row[c or 0] != "" for row in of.rows) for of, c in places)
+    places += [(texts[role], columns.find(texts[role], role, "x")) for role in ("truth", "fixes") if role in texts]
+    steps, *others = (sum(row[c or 0] != "" for row in of.rows) for of, c in places)
+    moved = (
+        file.numbers(c, np.arange(len(file)) == 0)
+        for q in RELATIVE
+        if (c := columns.find(file, "odometry", q)) is not None
+    )
+    few = "fixes" in texts and others[-1] < steps and _in_order(texts["fixes"], wanted, steps + 1)
     frames = [of.numbers(c, np.ones(len(of), bool)).max(initial=0.0) for role, of in texts.items()
               if of is not file and (c := columns.find(of, role, "frame")) is not None]  # fmt: skip
     turns = [_rows_a_step(texts[s.role], s, wanted, steps + 1) for s in wanted.sensors]
     more = any(n > steps and each * n % steps for each, n in turns)
-    return true == [steps + 1] or max(frames, default=0.0) == steps or more
+    few &= any(step.any() for step in moved)  # the first fix is before it
+    return steps + 1 in others or few or max(frames, default=0.0) == steps or more
 
 
 def read_log(name: str, wanted: Wanted) -> Recording:

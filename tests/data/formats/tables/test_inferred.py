@@ -198,6 +198,18 @@ def test_steps_between_poses(convert, names):
         assert "200 true poses, 300 frames: which" in convert(files, "table", "o.csv", "out", *parts, status=2)
 
 
+@pytest.mark.parametrize(("count", "poses"), [(200, 300), (299, 299), (300, 300), (140, 0)])
+def test_fixes_without_stamps_are_of_the_first_poses_that_steps_lead_to(convert, count, poses):
+    files = {"o.csv": text("dx,dy,dtheta", between(POSE[:-1], POSE[1:]))}
+    files["gps.csv"] = text("x,y,z", POSE[:count, :2], np.zeros(count))
+    words = ("table", "o.csv", "out", "--fixes", "gps.csv", "--fix-sigma", "5cm", "--prior", "0,0,0")
+    assert "so no instant" in convert(files, *words, "--columns", "fixes.frame=z", status=2)
+    made = convert(files, *words, status=0 if poses else 2)
+    if poses:
+        assert (made[0].recorded.fixes.frame.tolist(), len(made[0].recorded.time)) == ([*range(count)], poses)
+    assert f"in order, {count} of {poses}" in made[1] if poses else "name it as in --columns fixes.frame" in made
+
+
 def test_an_array_of_scans_beside_stamps_and_headings_of_the_names_time_and_t(convert, tmp_path):
     scans = np.full((300, 40), 3.0)
     np.savez(tmp_path / "log.npz", laser=scans, time=T, t=-THETA, v=V, w=OMEGA)
