@@ -12,7 +12,6 @@ import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
 from functools import cache, cached_property, partial
 from itertools import groupby
 from pathlib import Path
@@ -405,10 +404,8 @@ def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
     found: dict[str, dict[str, int]] = {}
     own = not {"label", "true_id"} & set(patterns)
     for quantity, pattern in patterns.items():
-        match = re.compile(re.escape(pattern).replace(r"\*", "(.*)")).fullmatch
-        for j, name in enumerate(file.names):
-            if (matched := match(name)) is not None:
-                found.setdefault(matched[1], {})[quantity] = j
+        for star, j in starred(file.names, pattern).items():
+            found.setdefault(star, {})[quantity] = j
     labels = {star: of for star, of in found.items() if len(of) == len(patterns)}
     if not labels:
         raise DataError.at(file.path, f"no column {', '.join(patterns.values())}; it has {file.described()}")
@@ -428,6 +425,14 @@ def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
     return replace(
         file, names=names, rows=tuple(rows), line=line, named=True, cut=nothing_there(lost, len(rows)) * bool(lost)
     )
+
+
+def starred(names: Sequence[str], pattern: str) -> dict[str, int]:
+    """Columns by what a star stands for: numbers, where several are (not a word beside them, as in r_1, r_2, r_var)."""
+    match = re.compile(re.escape(pattern).replace(r"\*", "(.*)")).fullmatch
+    found = {(*matched.groups(), name)[0]: j for j, name in enumerate(names) if (matched := match(name)) is not None}
+    numbered = {star: j for star, j in found.items() if star.isdecimal()}
+    return numbered if len(numbered) > 1 else found
 
 
 def nothing_there(lost: int, kept: int) -> str:
@@ -761,7 +766,8 @@ class Columns:
         names = {name for key, name in self.given.items() if key.startswith(f"{role}.")}
         if not names and role not in ROLES[2:]:
             names = {self.given.get(q, q) for q in usual} | {*stars(file).values()}
-        own = [(k, of) for k, of in file.series().items() if any(fnmatchcase(n, name) for n in of for name in names)]
+        taken = {file.names[j] for name in names for j in starred(file.names, name).values()}
+        own = [(k, of) for k, of in file.series().items() if taken & {*of}]
         stamps = [n for n in own[0][1] if {*words_of(n)[0]} & {*STAMP}] if len(own) == 1 else []
         if len(stamps) == 1 and f"{role}.t" not in self.given and stamps[0] != self.given.get("t", "t"):
             times = np.array([row[file.names.index(stamps[0])] for row in file.rows[: own[0][0]]], float)

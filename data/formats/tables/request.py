@@ -10,7 +10,6 @@ import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -567,7 +566,8 @@ def _take_stars(p: _Parts, role: str) -> None:
         p.infer(f"--columns {','.join(f'{q}={n}' for q, n in stars.items())}")
     if not stars:
         return
-    columns.read |= {(file.path, n) for n in file.names for star in stars.values() if fnmatchcase(n, star)}
+    seen = (j for star in stars.values() for j in table_files.starred(file.names, star).values())
+    columns.read |= {(file.path, file.names[j]) for j in seen}
     p.texts[role] = wide = table_files.unpivoted(file, stars)
     instant = any(columns.find(wide, role, q) is not None for q in ("t", "frame"))
     if not instant and len(file) == len(p.texts["odometry"]):

@@ -297,7 +297,7 @@ def test_arrays_of_one_file_may_end_at_different_rows(convert, tmp_path):
 def test_series_of_arrays_have_the_stamps_that_are_as_long(convert, tmp_path, seen):
     l_time, far, vel = np.linspace(0.05, 19.0, seen), np.full((2, seen), 4.0), np.ones((2, 200))
     arrays = {"odom_t": 0.1 * np.arange(200), "vel": vel, "l_time": l_time, "l_dist": far, "l_angle": 0.1 * far}
-    savemat(tmp_path / "a.mat", arrays)
+    savemat(tmp_path / "a.mat", arrays | {"l_dist_var": 0.1, "l_angle_var": 0.1})  # the star is no word beside numbers
     said = convert({}, "table", "a.mat", "out", status=2)
     assert f"odom_t, vel_1, vel_2 (200 rows); l_time, l_dist_1, l_dist_2, l_angle_1, l_angle_2 ({seen} rows)" in said
     for first in ("", "t=odom_t,"):
@@ -305,6 +305,7 @@ def test_series_of_arrays_have_the_stamps_that_are_as_long(convert, tmp_path, se
         log, said = convert({}, "table", "a.mat", "out", "--columns", names)
         assert log.recorded.time[log.recorded.observations.frame] == pytest.approx(np.repeat(l_time, 2))
         assert f"--columns observations.t=l_time, the stamps of its {seen} rows" in said
+        assert "not used: l_dist_var" in said
 
 
 def test_observations_within_objects_of_json(read):
