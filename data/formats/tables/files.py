@@ -812,6 +812,8 @@ class Columns:
         if quantity == "t":  # not the time of recording
             also = [c for c in also if (file.path, role, c) not in self.intervals]
             also = [c for c in also if "header" in file.names[c]] or also
+        if quantity == "t" and not also and self.period is None:  # dates by another name
+            also = [c for c in read if is_date(file.rows[0][c]) and file.rows[0][c] != file.rows[-1][c]]
         if len({meant[c][1] for c in also}) == 1 and all(words_of(file.names[c])[1] for c in also):
             also = also[:1]  # in another unit
         if not also and quantity in TWIST and role in ("odometry", SECOND):
