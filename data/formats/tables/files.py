@@ -243,15 +243,12 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
     points = any("." in f and is_number(f) for row in rows[:1000] for f in row)
     comma = separator in ";\t| " and any("," in f for row in rows for f in row) and not points
     shown = list(whole_names(names, rows)) if names is not None else [str(k + 1) for k in range(width)]
-    for k, name in enumerate(shown):  # seconds and nanoseconds of a stamp
-        seconds = re.fullmatch(r"(.*?)([._]?)secs?", name)
-        stem, last = (seconds[1], seconds[2]) if seconds else ("", "")
-        others = [f"{stem}{last}{n}" for n in ("nsecs", "nsec", "nanosec", "nanosecs")]
-        j = next((shown.index(n) for n in others if n in shown), None)
+    seconds = ((k, m[1]) for k, name in enumerate(shown) if (m := re.fullmatch(r"(.*?[._]?)secs?", name)))
+    for k, stem in [*seconds]:  # and nanoseconds of a stamp
+        j = next((shown.index(n) for end in NANOSECONDS if (n := stem + end) in shown), None)
         if j is not None and all(r[j].isdecimal() and r[k].lstrip("-").isdecimal() for r in rows):
-            rows, shown[k] = (
-                [(*r[:k], f"{r[k]}.{int(r[j]):09d}", *r[k + 1 :]) for r in rows], stem if last == "." else name,
-            )  # fmt: skip
+            rows = [(*r[:k], f"{r[k]}.{int(r[j]):09d}", *r[k + 1 :]) for r in rows]
+            shown[k] = stem[:-1] if stem.endswith(".") else shown[k]
     for both in {name for name in stated if "+" in name and {*name.split("+")} <= {*shown}}:  # seconds and nanoseconds
         j, k = (shown.index(part) for part in both.split("+"))
         small = next((n for n, unit in FRACTIONS.items() if re.fullmatch(rf"(.*[^a-z])?({unit})", shown[k], re.I)), 9)
@@ -260,6 +257,7 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
     return TextTable(path, tuple(shown), tuple(rows), number, names is not None, comma, cut)
 
 
+NANOSECONDS = ("nsecs", "nsec", "nanosec", "nanosecs")
 FRACTIONS = {6: "us|usecs?|micro.*", 3: "ms|msecs?|milli.*"}
 """Digits of the second column of a stamp that is stated as SEC+REST, by its name; else nanoseconds."""
 

@@ -405,16 +405,19 @@ def test_without_ids_landmarks_of_a_map_count_from_1_if_the_last_label_is_their_
     assert "not used" not in said
 
 
-def test_seconds_and_nanoseconds_beside_ranges_in_one_field(read):
-    names = "time,header.stamp.secs,header.stamp.nsecs"
+@pytest.mark.parametrize("of", ["header.stamp.", ""])
+def test_seconds_and_nanoseconds_beside_ranges_in_one_field(read, of):
+    """Seen: without words before them, nanoseconds were also behind the point of other columns of whole numbers."""
+    names = f"{'time' if of else 'day'},{of}secs,{of}nsecs"
     stamps = [f"2020/01/01,{k // 10},{k % 10}00000000" for k in range(12)]
-    odometry = f"{names},position.x,position.y,pose.theta\n" + "".join(
-        f"{t},{0.1 * k},0,0\n" for k, t in enumerate(stamps)
-    )
+    rows = "".join(f"{t},{0.1 * k},0,0\n" for k, t in enumerate(stamps))
+    odometry = f"{names},position.x,position.y,pose.theta\n{rows}"
     seen = f"{names},angle_min,angle_max,angle_increment,range_min,range_max,ranges\n"
     seen += "".join(f'{t},0,2,1,0.1,9,"({4 - 0.1 * k}, inf, 3.0)"\n' for k, t in enumerate(stamps))
-    log, _ = read({"o.csv": odometry, "s.csv": seen}, "--scans", "s.csv", "--columns", "theta=pose.theta")
+    words = ("--columns", f"theta=pose.theta,t={of[:-1] or 'secs'}")
+    log, _ = read({"o.csv": odometry, "s.csv": seen}, "--scans", "s.csv", *words)
     assert log.recorded.time == pytest.approx(0.1 * np.arange(12))
+    assert not log.recorded.increments.mean[:, 1:].any()
     ranges = pytest.approx(np.array([4 - 0.1 * np.arange(12), [0.0] * 12, [3.0] * 12]))
     assert ranges == log.recorded.scans.ranges.T
     counts = "t,x,y,theta\n" + "".join(f"{1000 * k},{0.1 * k},0,0\n" for k in range(12))
