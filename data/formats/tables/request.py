@@ -635,12 +635,9 @@ FITS, COPIED = 4.0, 1e-3  # How much less of the variance a fit leaves; share of
 
 def _kind(given: Given, texts: Mapping[str, TextTable], columns: Columns, role: str, known: Sequence[str]) -> str:
     """The kind of an odometry: the stated one, else by its columns."""
-    kind = given.get(f"{role}-kind")
-    if kind is None:
-        return kind_of(texts[role], columns, role, texts.get("truth"))
-    if kind not in known:
-        raise UsageError(f"--{role}-kind {kind}: {unknown(str(kind), known)}")
-    return str(kind)
+    if f"{role}-kind" in given:
+        return table_files.one_of(given, f"{role}-kind", known)
+    return kind_of(texts[role], columns, role, texts.get("truth"))
 
 
 def _of_fixes(

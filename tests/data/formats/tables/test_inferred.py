@@ -36,10 +36,8 @@ def observed():
 def converted(convert):
     """`converted(odometry, *flags)`: the log beside a truth in degrees, and what is said."""
     files = {"seen.csv": observed(), "truth.csv": text("time,x,y,yaw", T, POSE * [1.0, 1.0, np.rad2deg(1.0)])}
-    named = ("--observations", "seen.csv", "--truth", "truth.csv")
-    return lambda odometry, *flags, **status: convert(
-        files | {"o.csv": odometry}, "table", "o.csv", "out", *named, *flags, **status
-    )
+    named = ("table", "o.csv", "out", "--observations", "seen.csv", "--truth", "truth.csv")
+    return lambda odometry, *flags, **status: convert(files | {"o.csv": odometry}, *named, *flags, **status)
 
 
 def test_speed_and_steering_of_a_car(converted):
@@ -93,10 +91,8 @@ def test_observations_without_names_are_read_as_landmarks_stand_still(convert, o
     assert f"inferred: its columns are t, {', '.join(order)}" in said
     assert "inferred: --columns odometry.t=1,odometry.v=2,odometry.omega=3" in said
     assert "warning" not in said
-    z = log.recorded.observations.z
-    np.testing.assert_allclose(
-        z, np.column_stack([of["x"], -of["y"]] if "x" in order else [distance, bearing]), atol=1e-6
-    )
+    right = np.column_stack([of["x"], -of["y"]] if "x" in order else [distance, bearing])
+    assert log.recorded.observations.z == pytest.approx(right, abs=1e-6)
     if "range" in order:
         log, said = convert(files, "table", "o.csv", "out", "--observations", "wide.csv")
         assert (len(log.recorded.observations.z), log.label.tolist()) == (60, [0, 1] * 30)
