@@ -21,8 +21,30 @@ def is_date(field: str) -> bool:
     return DATE.match(field) is not None
 
 
+WITHIN = re.compile(
+    r"(?<!\d)(20\d\d)\D?(0[1-9]|1[0-2])\D?(0[1-9]|[12]\d|3[01])\D?([01]\d|2[0-3])\D?([0-5]\d)\D?([0-5]\d)"
+    r"(?:\D?(\d{1,3}|\d{6}|\d{9}))?(?!\d)|(?<!\d)(1\d{9})[._]?(\d{3}|\d{6}|\d{9}|(?<=\.)\d+)?(?!\d)"
+)  # A date, a time of day and thousandths; or seconds since 1970 and a part of one
+
+
+def within(word: str) -> str:
+    """The date and time of day, or the stamp since 1970, in a word, such as an image's name, as in `EXAMPLE`."""
+    found = WITHIN.search(word)
+    if found is None or re.fullmatch(r"[-+.:/\d TZWAPMapmeE]*", word):  # a date, or a number
+        return ""
+    if found[8]:
+        return datetime.fromtimestamp(float(f"{found[8]}.{found[9] or 0}"), UTC).isoformat()
+    return "{}-{}-{}T{}:{}:{}.{:0>3}".format(*found.groups("0")[:7])
+
+
 def whole_dates(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Rows whose only column of days has the only times of day behind it; of several days the times are both, too."""
+    """Rows whose only column of days has the only times of day behind it; of several days the times are both, too.
+    Dates within words that ascend with the rows stand for these words.
+    """
+    for k in (k for k, field in enumerate(rows[0]) if within(field)):
+        each = [within(row[k]) for row in rows]
+        if all(each) and each == sorted(each) and each[0] != each[-1]:
+            rows = [(*row[:k], date, *row[k + 1 :]) for row, date in zip(rows, each, strict=True)]
     days = [k for k, field in enumerate(rows[0]) if is_date(field) and ":" not in field]
     times = [k for k, field in enumerate(rows[0]) if is_date(field) and ":" in field[:3]]
     if len(days) != 1 or len(times) != 1:

@@ -1,17 +1,4 @@
-"""`log.toml` of an open log folder, checked key by key.
-
-Formats 1 and 2; docs/log-folder.md lists the keys. Besides these, with their defaults:
-
-    time_is_index = false               t is a frame number, there are no stamps
-    covariance_floor = 1e-10            smallest eigenvalue of an increment's covariance; 0 for none
-    floored = 0                         increments that already hold the floor (written by us)
-    notes = []                          sentences for the reader
-    [sensor]  field_of_view             the full opening angle [rad], instead of min_angle and max_angle;
-              [sensor.extrinsic]        a table with rotation and translation
-    [origin]  quantities that no recording states, as odometry_noise = "assumed" (see data.origin)
-
-In format 2 [sensor] may be left out where there is no observations.csv.
-"""
+"""`log.toml` of an open log folder, in format 1 or 2, checked key by key (docs/log-folder.md)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields

@@ -102,9 +102,7 @@ def covariances(
     place: Callable[[int], str],
 ) -> Array:  # fmt: skip
     """Covariances (K, d, d) of the `measured` entries (K, d), zero elsewhere: a row's own, its upper triangle in the
-    columns `names`, else by sigma (K, d), NaN where not stated.
-
-    `kind`, `place`: what measures a row, and the table of log.toml that states its sigma, in messages.
+    columns `names`, else by sigma (K, d), NaN where not stated; `kind`, `place`: words for what measures and states it.
     """
     i, j = np.triu_indices(measured.shape[1])
     entries = np.stack([table.get(name) for name in names], axis=-1)

@@ -1,10 +1,4 @@
-"""The tables of an open log, and its inputs and truth from them, whether they come from files or from arrays.
-
-docs/log-folder.md lists their columns, which may have any order; unknown ones are ignored. frames.csv with relations
-may have a column stamp: the recorded stamps, which need not increase. true_id: -1 false alarm, blank unknown. With
-odometry.csv the frames are the instants with observations, fixes or ends of closures, and keyframes where those are
-more than 1 s apart. true_x, true_y of landmarks.csv: of a simulated log; without them the map is the truth.
-"""
+"""The tables of an open log (docs/log-folder.md), and its inputs and truth, from files or from arrays."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

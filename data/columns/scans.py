@@ -24,9 +24,7 @@ BROKEN = (
 
 
 def open_archive(path: Path, *, whole: bool) -> zipfile.ZipFile:
-    """An archive; `whole`: its entries will be read whole. DataError: another compression method, or an excessive size.
-    OSError, ValueError, NotImplementedError or zipfile.BadZipFile: it is none, or damaged.
-    """
+    """An archive; `whole`: its entries will be read whole. DataError for its compression or size, else of `BROKEN`."""
     archive = zipfile.ZipFile(path)
     for entry in archive.infolist():
         what, stored = "", max(entry.compress_size, entry.file_size * (entry.compress_type == zipfile.ZIP_STORED))

@@ -169,9 +169,8 @@ def columns_of(
     path: Path, stated: Collection[str] = (), odometry: int = 0
 ) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
     """Names and rows: vectors as columns, blank below their ends: NAME, of a matrix NAME_1, NAME_2, ... (of a `WIDE`
-    one its rows), of a struct STRUCT.FIELD, or FIELD where it is the only one; of structs and matrices in arrays see
-    `_listed`; of FILE:STRUCT those of one struct; of arrays of three dimensions those `stated` (`_solid`), of an
-    odometry of so many rows. DataError for a file without numbers.
+    one its rows), of a struct STRUCT.FIELD, or FIELD of the only one, or of FILE:STRUCT; of structs and matrices in
+    arrays see `_listed`, of arrays of three dimensions `_solid`, beside an odometry of so many rows.
     """
     path, word = file_and_word(path)
     found = named(path)

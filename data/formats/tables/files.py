@@ -13,7 +13,6 @@ import tomllib
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
 from functools import cache, cached_property, partial
 from itertools import groupby
 from pathlib import Path
@@ -51,16 +50,14 @@ def stem_of(name: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class TextTable:
-    """Rows of stripped fields without quotes, of equal length, and the line (K,) of each; `names` of the columns:
-    "1", "2", ... without a header (`named`); `decimal_comma`: numbers are written 1,5.
-    """
+    """Rows of stripped fields without quotes, of equal length."""
 
     path: Path
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # of the columns, "1", "2", ... without a header
     rows: tuple[tuple[str, ...], ...]
-    line: IntArray
-    named: bool
-    decimal_comma: bool = False
+    line: IntArray  # (K,) of each row
+    named: bool  # with a header
+    decimal_comma: bool = False  # numbers are written 1,5
     cut: str = ""  # what is said of rows that are left out, or end before the header
     steps: int = 0  # rows of which each has any number of observations, one for each row of the odometry
 
@@ -169,9 +166,7 @@ def _separator(lines: Sequence[str]) -> str:
 
 
 def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, seen: bool = False) -> TextTable:
-    """The file's rows, of FILE:WORD those with that word; DataError if unreadable, binary, empty, or unequal. `stated`:
-    names of columns; for arrays; `odometry`: rows of it; `seen`: each may have a row of several observations.
-    """
+    """The file's rows; `stated`: names of columns; `odometry`: rows of it; `seen`: each may have a row of several."""
     if len(parts := parts_of(path)) > 1:
         return _joined(path, parts)
     bag, topic = file_and_topic(str(path))
@@ -245,15 +240,12 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
     points = any("." in f and is_number(f) for row in rows[:1000] for f in row)
     comma = separator in ";\t| " and any("," in f for row in rows for f in row) and not points
     shown = list(whole_names(names, rows)) if names is not None else [str(k + 1) for k in range(width)]
-    for k, name in enumerate(shown):  # seconds and nanoseconds of a stamp
-        seconds = re.fullmatch(r"(.*?)([._]?)secs?", name)
-        stem, last = (seconds[1], seconds[2]) if seconds else ("", "")
-        others = [f"{stem}{last}{n}" for n in ("nsecs", "nsec", "nanosec", "nanosecs")]
-        j = next((shown.index(n) for n in others if n in shown), None)
+    seconds = ((k, m[1]) for k, name in enumerate(shown) if (m := re.fullmatch(r"(.*?[._]?)secs?", name)))
+    for k, stem in [*seconds]:  # and nanoseconds of a stamp
+        j = next((shown.index(n) for end in NANOSECONDS if (n := stem + end) in shown), None)
         if j is not None and all(r[j].isdecimal() and r[k].lstrip("-").isdecimal() for r in rows):
-            rows, shown[k] = (
-                [(*r[:k], f"{r[k]}.{int(r[j]):09d}", *r[k + 1 :]) for r in rows], stem if last == "." else name,
-            )  # fmt: skip
+            rows = [(*r[:k], f"{r[k]}.{int(r[j]):09d}", *r[k + 1 :]) for r in rows]
+            shown[k] = stem[:-1] if stem.endswith(".") else shown[k]
     for both in {name for name in stated if "+" in name and {*name.split("+")} <= {*shown}}:  # seconds and nanoseconds
         j, k = (shown.index(part) for part in both.split("+"))
         small = next((n for n, unit in FRACTIONS.items() if re.fullmatch(rf"(.*[^a-z])?({unit})", shown[k], re.I)), 9)
@@ -262,6 +254,7 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
     return TextTable(path, tuple(shown), tuple(rows), number, names is not None, comma, cut)
 
 
+NANOSECONDS = ("nsecs", "nsec", "nanosec", "nanosecs")
 FRACTIONS = {6: "us|usecs?|micro.*", 3: "ms|msecs?|milli.*"}
 """Digits of the second column of a stamp that is stated as SEC+REST, by its name; else nanoseconds."""
 
@@ -269,9 +262,8 @@ FRACTIONS = {6: "us|usecs?|micro.*", 3: "ms|msecs?|milli.*"}
 def _lists(
     names: tuple[str, ...] | None, rows: list[tuple[str, ...]], number: IntArray
 ) -> tuple[tuple[str, ...] | None, list[tuple[str, ...]], IntArray]:
-    """Names, rows and their lines, with lists of numbers within fields of a column as columns NAME_1, NAME_2, ...: as
-    many numbers in each field, or any number of numbers, or of groups `(1, 2.5), (2, 0.5)` or `1:2.5;2:0.5`, as rows
-    below, with the number of their row in the column NAME.element; of columns with as many in each in the same rows.
+    """Names, rows and their lines, with lists within fields as columns NAME_1, NAME_2, ...: as many numbers in each, or
+    any number of groups `(1, 2.5), (2, 0.5)` or `1:2.5;2:0.5`, as rows below that NAME.element counts.
     """
     count, below = len(rows), dict[tuple[int, ...], list[int]]()  # rows below by how many each row has
     for j in reversed(range(len(rows[0]))):
@@ -328,9 +320,8 @@ def _each(rows: Sequence[Sequence[str]]) -> int:
 def _by_rows(
     rows: Sequence[Sequence[str]], at: Sequence[int], count: int, steps: int
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]], list[int]] | None:
-    """Observations from rows that each hold any number of them, two or three numbers each, behind the same words: names
-    of columns, a row for each observation, and the row it came from. `at`: positions of the rows among `count` lines,
-    blank ones included, of which there is one for each of the odometry's `steps`. None where rows are not so.
+    """Names, rows and the row before of observations, of which rows hold any number, two or three numbers each, behind
+    the same words, at positions `at` among `count` lines, one for each of the odometry's `steps`; else None.
     """
     rows = [row[: max((j + 1 for j, f in enumerate(row) if f), default=0)] for row in rows]
     longest = max(rows, key=len)
@@ -364,16 +355,13 @@ def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
 
 def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
     """A row for each landmark of a table with a column for each, of names with a star by quantity; what the star stands
-    for is the label, but of columns that are filled from the left, as far as a row has observations. Blank, infinite,
-    zero and negative ranges are no observation. DataError where no column matches.
+    for is the label, but of columns that are filled from the left. Blank and other ranges above 0 alone are observed.
     """
     found: dict[str, dict[str, int]] = {}
     own = not {"label", "true_id"} & set(patterns)
     for quantity, pattern in patterns.items():
-        match = re.compile(re.escape(pattern).replace(r"\*", "(.*)")).fullmatch
-        for j, name in enumerate(file.names):
-            if (matched := match(name)) is not None:
-                found.setdefault(matched[1], {})[quantity] = j
+        for star, j in starred(file.names, pattern).items():
+            found.setdefault(star, {})[quantity] = j
     labels = {star: of for star, of in found.items() if len(of) == len(patterns)}
     if not labels:
         raise DataError.at(file.path, f"no column {', '.join(patterns.values())}; it has {file.described()}")
@@ -395,6 +383,14 @@ def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
     )
 
 
+def starred(names: Sequence[str], pattern: str) -> dict[str, int]:
+    """Columns by what a star stands for: numbers, where several are (not a word beside them, as in r_1, r_2, r_var)."""
+    match = re.compile(re.escape(pattern).replace(r"\*", "(.*)")).fullmatch
+    found = {(*matched.groups(), name)[0]: j for j, name in enumerate(names) if (matched := match(name)) is not None}
+    numbered = {star: j for star, j in found.items() if star.isdecimal()}
+    return numbered if len(numbered) > 1 else found
+
+
 def nothing_there(lost: int, kept: int) -> str:
     """What is said of observations at no distance, or less, beside those that are kept."""
     return f"{lost} of {lost + kept} observations are at 0 m or less, where nothing was seen: left out"
@@ -413,9 +409,7 @@ STARRED, IDS = ("range", "bearing", "x", "y"), ("label", "true_id")
 
 
 def stars(file: TextTable) -> dict[str, str]:
-    """Names with a star by quantity, of a file whose columns are ranges and bearings of several landmarks each: their
-    last numbers differ, as in range_1, lm1_range, z_range_1.
-    """
+    """Names with a star by quantity, of ranges and bearings of several landmarks, as range_1, lm1_range, z_range_1."""
     usual = {q: (q.replace("_", ""), *ALSO.get(q, ()), *["id"] * (q == "label")) for q in ("range", "bearing", *IDS)}
     found: dict[str, set[str]] = {}
     for name in file.names if file.named else ():
@@ -429,9 +423,7 @@ def stars(file: TextTable) -> dict[str, str]:
 
 
 def solid_stars(file: TextTable, stated: Mapping[str, str]) -> dict[str, str]:
-    """Names with a star, by quantity, for quantities stated as NAME_K of an array of three dimensions: the star stands
-    for the dimension that counts landmarks. DataError where both dimensions, or none, may count them.
-    """
+    """Names with a star for what counts landmarks, of quantities stated as NAME_K of an array of three dimensions."""
     found = {}
     for quantity, (stem, _, k) in ((q, n.rpartition("_")) for q, n in stated.items() if n not in file.names):
         places = [m.groups() for n in file.names if (m := re.fullmatch(re.escape(stem) + r"_(\d+)_(\d+)", n))]
@@ -584,9 +576,7 @@ THRUN = [re.compile(rf"(d|delta)?{end}") for end in ("rot(ation)?1", "trans(lati
 
 
 def stepped(file: TextTable) -> TextTable:
-    """A table of turns, ways and turns (rot1, trans, rot2; Thrun et al., Probabilistic Robotics, table 5.5) with these
-    as steps dx, dy, dtheta, too; any other as it is.
-    """
+    """Turns, ways and turns (Thrun et al., Probabilistic Robotics, table 5.5) as steps, too; other tables as is."""
     names = ["".join(words_of(name)[0]) for name in file.names] if file.named else []
     found = [[k for k, name in enumerate(names) if word.fullmatch(name)] for word in THRUN]
     if not all(len(of) == 1 for of in found):
@@ -626,29 +616,22 @@ EPOCH, CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}, (1.0e9, 2.2e9)
 
 @dataclass(eq=False)
 class Columns:
-    """Stated column names by key `quantity` or `role.quantity`; other quantities have their own names.
-
-    `offsets`: s added to the stamps of a role's file; `roles`: of files, with the names of sensors; `used`: keys that
-    named a column so far; `read`: columns (file, name) that were read; `notes`: about rows that were left out;
-    `asked`: questions that only the files raise; `datum`: latitude and longitude [deg] of the origin, of the first
-    place in degrees; `origins`: of what the data tell, or nobody; `period`: s between rows of an odometry without
-    stamps; `intervals`: columns (file, role, number) that are named as stamps, and are the time between rows, or of
-    other rows; `words`: numbers of landmarks that are named by words.
-    """
+    """Stated column names by key `quantity` or `role.quantity`; other quantities have their own names."""
 
     given: Mapping[str, str]
     units: Units
-    offsets: Mapping[str, float] = field(default_factory=dict)
-    roles: tuple[str, ...] = ROLES
-    used: set[str] = field(default_factory=set)
-    read: set[tuple[Path, str]] = field(default_factory=set)
-    notes: list[str] = field(default_factory=list)
-    asked: list[Notice] = field(default_factory=list)
-    datum: list[float] = field(default_factory=list)
-    origins: dict[str, Origin] = field(default_factory=dict)
-    period: float | None = None
+    offsets: Mapping[str, float] = field(default_factory=dict)  # s added to the stamps of a role's file
+    roles: tuple[str, ...] = ROLES  # of files, with the names of sensors
+    used: set[str] = field(default_factory=set)  # keys that named a column so far
+    read: set[tuple[Path, str]] = field(default_factory=set)  # columns (file, name) that were read
+    notes: list[str] = field(default_factory=list)  # about rows that were left out
+    asked: list[Notice] = field(default_factory=list)  # questions that only the files raise
+    datum: list[float] = field(default_factory=list)  # latitude and longitude [deg] of the first place in degrees
+    origins: dict[str, Origin] = field(default_factory=dict)  # of what the data tell, or nobody
+    period: float | None = None  # s between rows of an odometry without stamps
+    # intervals: columns (file, role, number) that are named as stamps, and are the time between rows, or of other rows
     intervals: set[tuple[Path, str, int]] = field(default_factory=set)
-    words: dict[str, int] = field(default_factory=dict)
+    words: dict[str, int] = field(default_factory=dict)  # numbers of landmarks that are named by words
 
     def __post_init__(self) -> None:
         for key, name in self.given.items():
@@ -686,7 +669,8 @@ class Columns:
         names = {name for key, name in self.given.items() if key.startswith(f"{role}.")}
         if not names and role not in ROLES[2:]:
             names = {self.given.get(q, q) for q in usual} | {*stars(file).values()}
-        own = [(k, of) for k, of in file.series().items() if any(fnmatchcase(n, name) for n in of for name in names)]
+        taken = {file.names[j] for name in names for j in starred(file.names, name).values()}
+        own = [(k, of) for k, of in file.series().items() if taken & {*of}]
         stamps = [n for n in own[0][1] if {*words_of(n)[0]} & {*STAMP}] if len(own) == 1 else []
         if len(stamps) == 1 and f"{role}.t" not in self.given and stamps[0] != self.given.get("t", "t"):
             times = np.array([row[file.names.index(stamps[0])] for row in file.rows[: own[0][0]]], float)
@@ -731,6 +715,8 @@ class Columns:
         if quantity == "t":  # not the time of recording
             also = [c for c in also if (file.path, role, c) not in self.intervals]
             also = [c for c in also if "header" in file.names[c]] or also
+        if quantity == "t" and not also and self.period is None:  # dates by another name
+            also = [c for c in read if is_date(file.rows[0][c]) and file.rows[0][c] != file.rows[-1][c]]
         if len({meant[c][1] for c in also}) == 1 and all(words_of(file.names[c])[1] for c in also):
             also = also[:1]  # in another unit
         if not also and quantity in TWIST and role in ("odometry", SECOND):
@@ -867,8 +853,7 @@ class Columns:
         """Quantities of a file in SI units, some optional, and `texts` as words; and the number of skipped rows.
 
         Rows whose required quantities except instants are all blank are skipped, unless these may be blank. Rows that
-        repeat an earlier one count once: of sensors in all fields, of others in those that are read. DataError for a
-        missing column, or an invalid or blank field.
+        repeat an earlier one count once: of sensors in all fields, of others in those that are read.
         """
         columns = dict(zip(quantities, self.require(file, role, quantities), strict=True))
         columns |= {q: c for q in optional if (c := self.find(file, role, q)) is not None}
@@ -984,10 +969,8 @@ def unmeasured(values: Array) -> tuple[int, int, bool] | None:
     return None
 
 
-REPEATED, BEYOND, LEVELS = 3, 10.0, 20
-"""Least number of fields with a value that stands for none; how many times it is as large, or as frequent, as any
-other; least number of different values; how many steps places at 0, 0 that stand for none are away.
-"""
+REPEATED, LEVELS = 3, 20  # Fewest fields with a value that stands for none, and fewest different values
+BEYOND = 10.0  # Times as large, or as frequent, as any other
 
 
 def headings(values: Mapping[str, Array], unit: float = 1.0) -> Array:
@@ -1026,9 +1009,7 @@ def pairs(value: object, flag: str) -> dict[str, str]:
 def numbers(
     text: object, dimensions: Sequence[str], flag: str, what: str, *, zero: bool | None = None, length: str = ""
 ) -> Array:
-    """Numbers with or without units, one for each dimension; `what` describes them in a message. `zero`: None: any;
-    else standard deviations, which may be 0 or not. `length`: unit of lengths without one.
-    """
+    """Numbers with or without units, by default of `length`; `zero`: standard deviations, which may be 0 or not."""
     parts = words(text)
     if len(parts) != len(dimensions):
         raise UsageError(f"--{flag} {text}: {len(dimensions)} numbers are needed: {what}")

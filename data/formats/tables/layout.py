@@ -1,6 +1,4 @@
-"""What columns without names are, by the role of their file: stamps ascend, ids are whole numbers, headings follow the
-motion, and landmarks stand still. A matrix of a `.mat` or `.npz` file is such a table, too.
-"""
+"""What columns of a file or matrix without names are: stamps ascend, headings follow the motion, landmarks stand."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -27,9 +25,7 @@ CLEAR = 0.7  # Largest share of the next reading's spread: of 360 simulated tabl
 
 
 def by_layout(file: TextTable, role: str, *, alone: bool = True) -> tuple[TextTable, str, tuple[str, ...]] | None:
-    """An odometry, truth or map whose columns have names, the flag that says so, and the names before; None if none or
-    several may be. Not `alone` in its file: of a role's name, too.
-    """
+    """The only table of a role, and of its name if not `alone`, with names, the flag that says so, and names before."""
     if role == "map" and file.names[:3] == ("key", "value_1", "value_2"):  # of objects by number
         told = "--columns map.id=key,map.x=value_1,map.y=value_2"
         return replace(file, names=("id", "x", "y", *file.names[3:])), told, file.names[:3]
@@ -101,9 +97,8 @@ def _names(rows: Sequence[tuple[str, ...]], role: str) -> tuple[str, ...]:
 def seen_by_layout(
     file: TextTable, path_of: Callable[[], tuple[Array, Array] | None]
 ) -> tuple[TextTable, str, dict[str, str], tuple[str, ...]] | None:
-    """Observations with names, what says so, units by quantity, and the names before: stamp or element, then id and two
-    numbers once or several times. These keep landmarks in one place along a path, stamps (K,) [s] and poses (K, 3), in
-    one reading alone; else None.
+    """Observations with names, what says so, units, and the names before: an instant, then id and two numbers, several
+    times, which keep landmarks along a path, stamps (K,) [s] and poses (K, 3), in one reading alone; or None.
     """
     for part in _parts(file):
         values = np.array(part.rows, float)
@@ -139,9 +134,7 @@ def seen_by_layout(
 
 
 def named_alike(seen: TextTable, known: TextTable) -> tuple[str, str] | None:
-    """The columns of observations and of a map that hold the same names, or whole numbers, of landmarks; None if none
-    or several do.
-    """
+    """The only columns of observations and of a map that hold the same names, or whole numbers, of landmarks."""
     pairs = []
     for name, ids in zip(known.names, zip(*known.rows, strict=True), strict=True):
         distinct = len({*ids}) == len(ids) and not any("." in field and is_number(field) for field in ids)
@@ -157,9 +150,7 @@ CALLED = frozenset(("id", "landmark", "lm", "tag", "marker", "beacon", "anchor",
 
 
 def landmarks_in_rows(file: TextTable) -> tuple[TextTable, TextTable, str] | None:
-    """Observations with labels, a map, and what says so, of a table whose rows hold the place of what is observed, in
-    columns such as anchor_x and anchor_y, or ax and ay; None without such a pair that few places fill.
-    """
+    """Observations with labels, a map, and what says so, of rows with one of few places (anchor_x, anchor_y)."""
     pairs = [(j, f"{name[:-1]}y") for j, name in enumerate(file.names) if re.fullmatch(PLACED, name, re.IGNORECASE)]
     found = [(j, file.names.index(y)) for j, y in pairs if y in file.names]
     if not file.named or len(found) != 1:

@@ -23,7 +23,7 @@ from data.formats.recordings.laser import FLOOR, without_odometry
 from data.formats.results.bags import file_and_topic
 from data.formats.results.path import ABSENT, COARSE, in_order, unturned
 from data.formats.second_odometry import together
-from data.formats.tables.files import QUATERNION, SCANS, SECOND, TextTable, headings, nothing_there
+from data.formats.tables.files import QUATERNION, SCANS, SECOND, STARRED, TextTable, headings, nothing_there
 from data.formats.tables.motion import Odometry, other_rate, pose_columns, read_odometry, read_second, second_closures
 from data.formats.tables.request import LOOKS, OBSERVATIONS, SENSOR, TableSensor, Wanted
 from data.formats.tables.scans import read_scans
@@ -84,8 +84,11 @@ def _instants(
     t, of = (wanted.columns.find(file, role, q) for q in (stamps[0], rows[0]))
     unstamped = t is not None and of is not None and any(row[of] and not row[t] for row in file.rows)
     stamped = odometry.stamped and t is not None and not unstamped
-    if t is None and of is None and role == "fixes" and file is wanted.texts["odometry"]:
-        return (), False  # in the rows of the odometry
+    own, poses = file is wanted.texts["odometry"], len(odometry.rows)
+    if t is None and of is None and role == "fixes" and (own or _in_order(file, wanted, poses)):
+        told = f"{file.path.name}: inferred: its rows are those of the odometry in order, {len(file)} of {poses}"
+        wanted.columns.notes += [told] * (not own)
+        return (), False
     if not stamped and of is None:
         wanted.columns.require(file, role, (stamps if odometry.stamped else rows)[:1])
     return (stamps, True) if stamped else (rows, False)
@@ -145,6 +148,8 @@ def read_fixes(file: TextTable, wanted: Wanted, odometry: Odometry, notes: list[
         notes.append("assumed: --fix-sigma 1m,1m,5deg")
     of_file = np.searchsorted(file.line, table.line)
     at = _at(table, keys, stamped, odometry, notes) if keys else odometry.rows[of_file][:, None]
+    if len({*map(tuple, z[np.isfinite(z[:, 0]), :2].tolist())}) > 2 and not np.ptp(at):
+        raise table.error(1, keys[0], f"the same of {len(z)} fixes at different places, so no instant; leave it out")
     found = _measured(role, table, file.path, at, stamped, z, default)
     filled = ~np.isnan(z).all(axis=1)
     if not filled.all():
@@ -242,17 +247,27 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
 FEW, MARK = 0.1, 3  # Largest share of negative ranges, and least number of equal ones, that are left out
 
 
+def _in_order(file: TextTable, wanted: Wanted, poses: int) -> bool:
+    """Whether fixes without stamps in a file of their own are of the poses, or the first of steps, in their order."""
+    few = wanted.kind == "steps" and len(file) < poses < 2 * len(file)
+    return (few or len(file) == poses) and _unstamped(file, "fixes", wanted)
+
+
+def _unstamped(file: TextTable, role: str, wanted: Wanted) -> bool:
+    """Whether a role has neither stamps nor frames, nor in a file of its own a column that ascends as these do."""
+    found = {q: wanted.columns.quiet.find(file, role, q) for q in ("t", "frame", *STARRED, "theta", *SIGMAS)}
+    own = [*wanted.texts.values()].count(file) == 1
+    others = [v for k, v in enumerate(zip(*file.rows, strict=True)) if own and k not in found.values()]
+    stamps = [v for v in others if all(map(is_number, v)) and (np.diff(np.array(v, float)) >= 0.0).all()]
+    return found["t"] is None and found["frame"] is None and all(v[0] == v[-1] for v in stamps)
+
+
 def _rows_a_step(file: TextTable, of: TableSensor, wanted: Wanted, poses: int) -> tuple[int, int]:
     """Of observations without stamp and frame: how many each step (or pose) has, and the number of steps; else 0, 0."""
-    own = [*wanted.texts.values()].count(file) == 1
-    c, *more = (wanted.columns.find(file, of.role, q) for q in (of.measured[0], "t", "frame", of.measured[-1]))
+    c = wanted.columns.find(file, of.role, of.measured[0])
     rows = max((k + 1 for k, row in enumerate(file.rows) if row[c or 0]), default=1)
     found = [n for n in (poses, poses - 1) if n and rows % n == 0 and (n == poses or wanted.kind == "steps")]
-    others = [v for k, v in enumerate(zip(*file.rows, strict=True)) if own and k not in (c, more[2])]
-    stamps = [v for v in others if all(map(is_number, v)) and (np.diff(np.array(v, float)) >= 0.0).all()]
-    if not found or more[:2] != [None, None] or any(v[0] != v[-1] for v in stamps):  # of another name
-        return 0, 0
-    return rows // found[0], found[0]
+    return (rows // found[0], found[0]) if found and _unstamped(file, of.role, wanted) else (0, 0)
 
 
 def _landmarks_in_turn(seen: Array, of: TableSensor, wanted: Wanted) -> tuple[IntArray, str]:
@@ -327,13 +342,20 @@ def _between(wanted: Wanted) -> bool:
         first, last = (n[np.isfinite(n)] for n in (file.numbers(c, np.ones(len(file), bool)) for c in ends))
         return bool((last == first + 1.0).all() and (np.diff(first) == 1.0).all())
     places = [(file, columns.find(file, "odometry", "dx"))]
-    places += [(t, columns.find(t, "truth", "x")) for t in [texts.get("truth")] if t is not None]
-    steps, *true = (sum(row[c or 0] != "" for row in of.rows) for of, c in places)
+    places += [(texts[role], columns.find(texts[role], role, "x")) for role in ("truth", "fixes") if role in texts]
+    steps, *others = (sum(row[c or 0] != "" for row in of.rows) for of, c in places)
+    moved = (
+        file.numbers(c, np.arange(len(file)) == 0)
+        for q in RELATIVE
+        if (c := columns.find(file, "odometry", q)) is not None
+    )
+    few = "fixes" in texts and others[-1] < steps and _in_order(texts["fixes"], wanted, steps + 1)
     frames = [of.numbers(c, np.ones(len(of), bool)).max(initial=0.0) for role, of in texts.items()
               if of is not file and (c := columns.find(of, role, "frame")) is not None]  # fmt: skip
     turns = [_rows_a_step(texts[s.role], s, wanted, steps + 1) for s in wanted.sensors]
     more = any(n > steps and each * n % steps for each, n in turns)
-    return true == [steps + 1] or max(frames, default=0.0) == steps or more
+    few &= any(step.any() for step in moved)  # the first fix is before it
+    return steps + 1 in others or few or max(frames, default=0.0) == steps or more
 
 
 def read_log(name: str, wanted: Wanted) -> Recording:

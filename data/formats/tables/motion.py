@@ -43,16 +43,13 @@ STAMPED = ("velocities", "car")  # Kinds that need stamps, and whose noise is of
 
 @dataclass(frozen=True)
 class Wheels:
-    """Wheels of ticks: track_width [m], metres per tick left and right, whether each row counts from the one before
-    (`each`), the number of ticks at which a counter restarts (0: never), and whether they are per s (`rate`); of a car
-    the distance between its axles is in the place of the track width.
-    """
+    """Wheels of ticks."""
 
-    track_width: float
-    metres: tuple[float, float]
-    each: bool = False
-    wrap: int = 0
-    rate: bool = False
+    track_width: float  # m; of a car the distance between its axles
+    metres: tuple[float, float]  # per tick, left and right
+    each: bool = False  # each row counts from the one before
+    wrap: int = 0  # number of ticks at which a counter restarts; 0: never
+    rate: bool = False  # ticks are per s
     backward: bool = False  # rates hold since the row before
 
 

@@ -10,7 +10,6 @@ import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -344,6 +343,7 @@ def settle(given: Given) -> Wanted:
         columns.take_series(table, role)
     _below_odometry(parts)
     unnamed = _by_layout(parts)
+    _hold_heading(parts)
     blind, given = _blind(parts, given)
     kind = _kind(given, parts.texts, columns, "odometry", tuple(KINDS))
     _name_observations(parts, given, kind, unnamed)
@@ -391,6 +391,13 @@ class _Parts:
     def find(self, role: str, quantities: Sequence[str]) -> bool:
         """Whether a role's table has a column for any of these quantities."""
         return any(self.columns.quiet.find(self.texts[role], role, q) is not None for q in quantities)
+
+    def hold(self, quantities: Sequence[str]) -> None:
+        """Give the odometry a column of zeros for each of these quantities."""
+        for q in quantities:
+            table = self.texts["odometry"]
+            self.texts["odometry"] = table.beside(f"no {q}", np.zeros(len(table), int))
+            self.columns.given = {**self.columns.given, f"odometry.{q}": f"no {q}"}
 
     def infer(self, told: str, role: str = "") -> None:
         """Note what is inferred, of a role's file."""
@@ -472,6 +479,20 @@ def _by_layout(p: _Parts) -> list[str]:
     return unnamed
 
 
+def _hold_heading(p: _Parts) -> None:
+    """Hold the heading at 0 of an odometry of places without headings, beside fixes or a truth of places alone."""
+    table, looked, own = p.texts["odometry"], p.columns.quiet, ("x", "y")
+    others = [role for role in ("fixes", "truth") if role in p.texts]  # of which headings would be the robot's
+    known = any(looked.has(table, "odometry", q) for q in (*KINDS.values(), table_files.QUATERNION, ("v",)))
+    known |= any(p.texts[r] is not table or p.find(r, STARRED[:2]) for r in p.observing if r in p.texts)
+    known |= any(p.find(r, ("theta", "qx")) or looked.taken(table, "odometry", own, p.texts[r], r) for r in others)
+    if others and looked.has(table, "odometry", own) and not known:
+        p.hold(["theta"])
+        p.texts.update({role: p.texts["odometry"] for role, of in p.texts.items() if of is table})
+        told = "no heading: places are steps in axes of their own, whose heading is 0, not that of the robot"
+        p.infer(told, "odometry")
+
+
 def _blind(p: _Parts, given: Given) -> tuple[float, Given]:
     """The speed [m/s] within which a robot without odometry moves, 0: with one; and flags, beside scans or fixes."""
     table, looked = p.texts["odometry"], p.columns.quiet
@@ -480,8 +501,9 @@ def _blind(p: _Parts, given: Given) -> tuple[float, Given]:
         return 0.0, given
     if p.texts.get(SCANS) is table:
         p.columns.notes.append(f"{p.files[SCANS].name}: no odometry in it: scan matching alone tells the motion")
-        stamps = {"odometry.t": p.named[key]} if (key := f"{SCANS}.t") in p.named else {}
-        _stand(p, stamps)
+        p.hold(KINDS["poses"])
+        if (key := f"{SCANS}.t") in p.named:
+            p.columns.given = {**p.columns.given, "odometry.t": p.named[key]}
         return SPEED, given
     wants, timed = ("t", "x", "y"), looked.find(table, "odometry", "t") is not None
     if "fixes" not in p.texts or not timed or not looked.has(p.texts["fixes"], "fixes", wants):
@@ -498,21 +520,13 @@ def _blind(p: _Parts, given: Given) -> tuple[float, Given]:
         given, p.columns.origins["prior"] = {**start, **given}, Origin.INFERRED
         p.infer(f"--prior at the first fix, heading for the farthest of {SOON}; --prior-sigma {given['prior-sigma']}")
     if looked.find(table, "odometry", "v") is not None:
-        p.texts["odometry"] = table.beside("no omega", np.zeros(len(table), int))
-        p.columns.given = {**p.columns.given, "odometry.omega": "no omega"}
+        p.hold(["omega"])
         p.infer("no turn rate: unknown, within --odometry-sigma 5cm,45deg")
         return 0.0, {"odometry-sigma": "5cm,45deg", **given}
     speed = float(np.quantile(np.hypot(*np.diff(at[:, 1:], axis=0).T) / np.diff(at[:, 0]), FAST))
     p.infer(f"no odometry: the motion is unknown, within {speed:.3g} m/s, the speed of nine tenths of the fixes")
-    _stand(p, {})
+    p.hold(KINDS["poses"])  # it stands
     return speed, given
-
-
-def _stand(p: _Parts, stamps: Mapping[str, str]) -> None:
-    """In place of an odometry the robot stands at the rows of its table."""
-    for q in KINDS["poses"]:
-        p.texts["odometry"] = p.texts["odometry"].beside(f"no {q}", np.zeros(len(p.texts["odometry"]), int))
-    p.columns.given = {**p.columns.given, **{f"odometry.{q}": f"no {q}" for q in KINDS["poses"]}, **stamps}
 
 
 LEAST_FIXES, FAST, SOON = 5, 0.9, 10  # Fixes that tell a speed, its quantile; first fixes that tell the heading
@@ -552,7 +566,8 @@ def _take_stars(p: _Parts, role: str) -> None:
         p.infer(f"--columns {','.join(f'{q}={n}' for q, n in stars.items())}")
     if not stars:
         return
-    columns.read |= {(file.path, n) for n in file.names for star in stars.values() if fnmatchcase(n, star)}
+    seen = (j for star in stars.values() for j in table_files.starred(file.names, star).values())
+    columns.read |= {(file.path, file.names[j]) for j in seen}
     p.texts[role] = wide = table_files.unpivoted(file, stars)
     instant = any(columns.find(wide, role, q) is not None for q in ("t", "frame"))
     if not instant and len(file) == len(p.texts["odometry"]):
@@ -620,12 +635,9 @@ FITS, COPIED = 4.0, 1e-3  # How much less of the variance a fit leaves; share of
 
 def _kind(given: Given, texts: Mapping[str, TextTable], columns: Columns, role: str, known: Sequence[str]) -> str:
     """The kind of an odometry: the stated one, else by its columns."""
-    kind = given.get(f"{role}-kind")
-    if kind is None:
-        return kind_of(texts[role], columns, role, texts.get("truth"))
-    if kind not in known:
-        raise UsageError(f"--{role}-kind {kind}: {unknown(str(kind), known)}")
-    return str(kind)
+    if f"{role}-kind" in given:
+        return table_files.one_of(given, f"{role}-kind", known)
+    return kind_of(texts[role], columns, role, texts.get("truth"))
 
 
 def _of_fixes(

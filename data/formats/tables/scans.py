@@ -32,9 +32,8 @@ TURNS = 4.0 * math.pi, 721.0  # Angle between the outer beams, above as many rad
 def read_scans(
     file: TextTable, columns: Columns, scanner: Array | None, odometry: Odometry, mount: Array | None = None
 ) -> tuple[LaserScans, Table]:
-    """All scans, and their stamps as a table; without stamps one for each row of the odometry. `scanner`:
-    (3,) first angle, step [rad] and reach [m]; `mount`: (3,) its pose on the robot. DataError for columns or
-    fields, UsageError without angles.
+    """All scans, and their stamps as a table; without stamps one for each row of the odometry. `scanner`: (3,) first
+    angle, step [rad] and reach [m]; `mount`: (3,) its pose on the robot.
     """
     at = {name.rpartition(".")[2]: k for k, name in enumerate(file.names)}
     numbers = _geometry(file.names)
@@ -126,9 +125,7 @@ def read_scans(
 
 
 def wide_in(file: TextTable, *, stated: bool) -> list[str]:
-    """First and last name of the only columns of a scan in a table of other things: numbered, at least `BEAMS`, whose
-    names tell it where no scanner is `stated`.
-    """
+    """First and last name of the only `BEAMS` numbered columns, which their names tell where no scanner is `stated`."""
     runs = [names for _, run in groupby(file.names, key=stem_of) if len(names := list(run)) >= BEAMS and file.named]
     words = [{*words_of(stem_of(names[0]))[0]} for names in runs]
     fits = [bool(of & SCANNED) or (stated and not of & {"cov", "covariance"}) for of in words]

@@ -67,13 +67,13 @@ def test_dates_are_stamps(table):
 
 @pytest.mark.parametrize(("form", "unit", "column"), [
     ("13/5/2024 9:59:5{}.5", "dmy", "t"), ("5/13/2024 9:59:5{} PM", "mdy", "t"), ("2024:05:13 9:59:5{}", "iso", "t"),
-    ("2024-05-13,9:59:5{}", "iso", "day"),
-    ("1{}.05.2024,9:59:55", "dmy", "time"),
+    ("2024-05-13,9:59:5{}", "iso", "day"), ("f171559439{}500.png", "iso", "t"),
+    ("1{}.05.2024,9:59:55", "dmy", "time"), ("a/b_2024_05_13_09_59_5{}_500.jpg", "iso", "image"),
 ])  # fmt: skip
 def test_days_before_or_behind_months_and_times_of_day_apart_are_dates(table, form, unit, column):
     text = "\n".join(form.format(line[0]) + line[1:] if line[0].isdigit() else line for line in GOOD.split())
-    text = text.replace("t,", "day,time,", 1) if column != "t" else text
-    log, said = table(text, *SIGMAS, "--columns", f"t={column}")
+    text = text.replace("t,", {"t": "t,", "image": "image,"}.get(column, "day,time,"), 1)
+    log, said = table(text, *SIGMAS, *("--columns", f"t={column}")[: 2 * (column != "image")])
     assert np.ptp(log.recorded.time) == pytest.approx(3.0 * (86400.0 if column == "time" else 1.0))
     assert f"inferred: --unit odometry.t={unit}" in said
 

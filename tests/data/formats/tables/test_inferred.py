@@ -36,10 +36,8 @@ def observed():
 def converted(convert):
     """`converted(odometry, *flags)`: the log beside a truth in degrees, and what is said."""
     files = {"seen.csv": observed(), "truth.csv": text("time,x,y,yaw", T, POSE * [1.0, 1.0, np.rad2deg(1.0)])}
-    named = ("--observations", "seen.csv", "--truth", "truth.csv")
-    return lambda odometry, *flags, **status: convert(
-        files | {"o.csv": odometry}, "table", "o.csv", "out", *named, *flags, **status
-    )
+    named = ("table", "o.csv", "out", "--observations", "seen.csv", "--truth", "truth.csv")
+    return lambda odometry, *flags, **status: convert(files | {"o.csv": odometry}, *named, *flags, **status)
 
 
 def test_speed_and_steering_of_a_car(converted):
@@ -93,10 +91,8 @@ def test_observations_without_names_are_read_as_landmarks_stand_still(convert, o
     assert f"inferred: its columns are t, {', '.join(order)}" in said
     assert "inferred: --columns odometry.t=1,odometry.v=2,odometry.omega=3" in said
     assert "warning" not in said
-    z = log.recorded.observations.z
-    np.testing.assert_allclose(
-        z, np.column_stack([of["x"], -of["y"]] if "x" in order else [distance, bearing]), atol=1e-6
-    )
+    right = np.column_stack([of["x"], -of["y"]] if "x" in order else [distance, bearing])
+    assert log.recorded.observations.z == pytest.approx(right, abs=1e-6)
     if "range" in order:
         log, said = convert(files, "table", "o.csv", "out", "--observations", "wide.csv")
         assert (len(log.recorded.observations.z), log.label.tolist()) == (60, [0, 1] * 30)
@@ -196,6 +192,18 @@ def test_steps_between_poses(convert, names):
     files["truth.csv"] = text("t,x,y,theta", T[:200], POSE[:200])
     if "from" in names:
         assert "200 true poses, 300 frames: which" in convert(files, "table", "o.csv", "out", *parts, status=2)
+
+
+@pytest.mark.parametrize(("count", "poses"), [(200, 300), (299, 299), (300, 300), (140, 0)])
+def test_fixes_without_stamps_are_of_the_first_poses_that_steps_lead_to(convert, count, poses):
+    files = {"o.csv": text("dx,dy,dtheta", between(POSE[:-1], POSE[1:]))}
+    files["gps.csv"] = text("x,y,z", POSE[:count, :2], np.zeros(count))
+    words = ("table", "o.csv", "out", "--fixes", "gps.csv", "--fix-sigma", "5cm", "--prior", "0,0,0")
+    assert "so no instant" in convert(files, *words, "--columns", "fixes.frame=z", status=2)
+    made = convert(files, *words, status=0 if poses else 2)
+    if poses:
+        assert (made[0].recorded.fixes.frame.tolist(), len(made[0].recorded.time)) == ([*range(count)], poses)
+    assert f"in order, {count} of {poses}" in made[1] if poses else "name it as in --columns fixes.frame" in made
 
 
 def test_an_array_of_scans_beside_stamps_and_headings_of_the_names_time_and_t(convert, tmp_path):

@@ -21,6 +21,7 @@ ARC = se2.along_arcs(np.array([V * STEP]), np.array([OMEGA * STEP]))[0]
 POSE = se2.dead_reckoned(np.zeros(3), ARC * (np.arange(COUNT) > 0)[:, None])
 MAP = np.array([[3.0, 1.0], [-1.0, 5.0], [4.0, 5.0]])
 POLAR = [[(np.hypot(*p), np.arctan2(*p[::-1])) for p in se2.transform_points(se2.inverse(x)[None], MAP)] for x in POSE]
+PERIOD = ("--period", "0.5s")
 TRACK = [(START + t, 48.0 + y / 111e3, 11.0 + x / 74e3) for t, (x, y, _) in zip(TIME, POSE, strict=True)]
 FIXES = [f"{x:.6f},{y:.6f}" if k % 4 == 0 else "," for k, (x, y, _) in enumerate(POSE)]
 
@@ -64,32 +65,34 @@ def test_fixes_and_truth_of_one_table_are_told_by_their_names(made, names):
 
 def test_a_part_that_columns_state_is_in_the_file_of_the_odometry(made):
     rows = ((V, OMEGA, f, *p) for f, p in zip(FIXES, POSE, strict=True))
-    words = (
-        "--columns",
-        "fixes.x=e,fixes.y=n,truth.x=a,truth.y=b,truth.theta=c",
-        "--period",
-        "0.5s",
-        "--fix-sigma",
-        "0.2",
-    )
-    log, _ = made({"robot.csv": csv("v,omega,e,n,a,b,c", rows)}, *words)
+    names = "fixes.x=e,fixes.y=n,truth.x=a,truth.y=b,truth.theta=c"
+    log, _ = made({"robot.csv": csv("v,omega,e,n,a,b,c", rows)}, "--columns", names, *PERIOD, "--fix-sigma", "0.2")
     assert len(log.recorded.fixes) == COUNT // 4
     assert log.recorded.fixes.covariance[0, 1, 1] == pytest.approx(0.04)
     assert log.truth.pose[0] == pytest.approx(POSE[0])
 
 
+@pytest.mark.parametrize("apart", [False, True])
+def test_places_without_headings_are_steps_in_axes_of_their_own(made, apart):
+    """Seen: refused, as they had no column theta, and fixes in a file of their own, row by row, as they had no t."""
+    own = POSE[:, :2] @ [[0.6, -0.8], [0.8, 0.6]]
+    files = {"o.csv": csv("x,y,e,n,a,b", np.hstack([own, POSE[:, [0, 1, 0, 1]]])), "gps.csv": csv("e,n", POSE[:, :2])}
+    names = "odometry.x=x,odometry.y=y,fixes.x=e,fixes.y=n,truth.x=a,truth.y=b"
+    log, said = made(files, "--columns", names, *PERIOD, *("--fixes", "gps.csv")[: 2 * apart], "--fix-sigma", "0.1")
+    assert ("no heading: places are steps" in said, "in order, 40 of 40" in said) == (True, apart)
+    assert log.recorded.increments.mean[1:, :2] == pytest.approx(np.diff(own, axis=0))
+    assert log.recorded.fixes.frame.tolist() == list(range(COUNT))
+    assert log.recorded.prior.mean == pytest.approx([0.0, 0.0, np.arctan2(0.8, 0.6)], abs=1e-6)
+
+
 def test_speeds_of_wheels_need_their_distance_alone(made, refused, tmp_path):
     rows = ((t, V - 0.2 * OMEGA, V + 0.2 * OMEGA, f) for t, f in zip(TIME, FIXES, strict=True))
-    log, said = made(
-        {"robot.csv": csv("t,v_left,v_right,gps_x,gps_y", rows)}, "--track-width", "0.4", "--fix-sigma", "0.1"
-    )
+    words = ("--track-width", "0.4", "--fix-sigma", "0.1")
+    log, said = made({"robot.csv": csv("t,v_left,v_right,gps_x,gps_y", rows)}, *words)
     assert "--ticks rate --metres-per-tick 1" in said
     assert drives(log)
     slow = ((t, 100.0 * (V - 0.2 * OMEGA), 100.0 * (V + 0.2 * OMEGA), f) for t, f in zip(TIME, FIXES, strict=True))
-    text, words = (
-        csv("t,v_left (cm/s),v_right (cm/s),gps_x,gps_y", slow),
-        ("--track-width", "0.4", "--fix-sigma", "0.1"),
-    )
+    text = csv("t,v_left (cm/s),v_right (cm/s),gps_x,gps_y", slow)
     assert drives(made({"robot.csv": text}, *words)[0])
     (tmp_path / "turns.csv").write_text(text.replace("cm/s", "rad/s"))
     assert "wheel's radius" in refused(main, ["table", str(tmp_path / "turns.csv"), "out2", *words])
@@ -163,13 +166,8 @@ def test_numbers_of_landmarks_stand_anywhere_in_the_names_of_columns(made, names
 def test_a_turn_a_way_and_a_turn_are_a_step(made):
     turn = np.degrees(0.5 * OMEGA * STEP)
     rows = ((turn, ARC[0] / np.cos(np.radians(turn)), turn, f) for f in FIXES)
-    log, said = made(
-        {"a.csv": csv("delta_rot1 (deg),delta_trans,delta_rot2 (deg),gps_x,gps_y", rows)},
-        "--frames",
-        "odometry",
-        "--fix-sigma",
-        "0.1",
-    )
+    text = csv("delta_rot1 (deg),delta_trans,delta_rot2 (deg),gps_x,gps_y", rows)
+    log, said = made({"a.csv": text}, "--frames", "odometry", "--fix-sigma", "0.1")
     assert "are a turn, a way and a turn" in said
     assert log.recorded.increments.mean[1] == pytest.approx(ARC, abs=1e-9)
 

@@ -50,9 +50,8 @@ def test_wheel_ticks_make_the_circle_that_they_roll(convert, tmp_path):
     )  # fmt: skip
     along, across = 1.25 * np.sin(0.1), 1.25 * (1.0 - np.cos(0.1))
     assert back.recorded.increments.mean[1:] == pytest.approx(np.tile([along, across, 0.1], (9, 1)))
-    assert back.recorded.increments.covariance[1][2, 2] == pytest.approx(
-        0.075**2 * np.hypot(along, across) + 0.045**2 * 0.1
-    )
+    turned = 0.075**2 * np.hypot(along, across) + 0.045**2 * 0.1
+    assert back.recorded.increments.covariance[1][2, 2] == pytest.approx(turned)
     each = [[k, 100, 150, 1 + k, 0.1] for k in range(10)]
     again = convert(
         table(tmp_path / "e.csv", "t,left,right,range,bearing", each, ","), "--track-width", "50cm",

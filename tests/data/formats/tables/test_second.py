@@ -36,9 +36,8 @@ def test_poses_become_the_motion_between_the_frames_that_they_cover(with_camera,
     np.testing.assert_allclose(r.closures.relative, relative, atol=1e-12)
     d, turn = np.hypot(*relative[:, :2].T), np.abs(relative[:, 2])
     along, heading = 0.2**2 * d + 0.1**2 * turn, 0.05**2 * d + 0.3**2 * turn
-    np.testing.assert_allclose(
-        np.diagonal(r.closures.covariance, axis1=1, axis2=2), np.column_stack([along, along, heading])
-    )
+    variance = np.diagonal(r.closures.covariance, axis1=1, axis2=2)
+    np.testing.assert_allclose(variance, np.column_stack([along, along, heading]))
     assert r.increments.mean[1:, 0] == pytest.approx(1.0), "the first one is the motion, unchanged"
 
 

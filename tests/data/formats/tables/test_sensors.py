@@ -37,18 +37,16 @@ def test_each_sensor_has_its_file_columns_units_noise_place_and_view(convert, od
     files, words = two(odometry)
     log, said = convert(files, *TABLE, *words)
     r = log.recorded
-    assert [(type(s), s.label, s.max_range) for s in r.sensors] == [
-        (RangeBearing, "lidar", 8.0), (Range, "radio", 40.0),
-    ]  # fmt: skip
+    sensors = [(type(s), s.label, s.max_range) for s in r.sensors]
+    assert sensors == [(RangeBearing, "lidar", 8.0), (Range, "radio", 40.0)]
     assert (r.sensors[0].min_angle, r.sensors[0].max_angle) == pytest.approx((-np.pi / 3, np.pi / 3))
     assert r.sensors[0].rotation == pytest.approx(-np.pi / 2)
     assert r.sensors[0].translation == pytest.approx((0.0, 0.2))
     o = r.observations
     assert r.time[o.frame].tolist() == [0.5, 1.0, 1.0, 2.0, 2.0]
     assert o.sensor.tolist() == [0, 0, 1, 0, 1]
-    assert o.z == pytest.approx(
-        np.array([[2, np.radians(10)], [3, np.radians(20)], [5, 0], [4, np.radians(-20)], [6, 0]])
-    )
+    z = np.array([[2, np.radians(10)], [3, np.radians(20)], [5, 0], [4, np.radians(-20)], [6, 0]])
+    assert o.z == pytest.approx(z)
     assert np.sqrt(o.R[:, 0, 0]).tolist() == pytest.approx([0.1, 0.1, 0.3, 0.1, 0.3])
     assert np.sqrt(o.R[o.sensor == 0, 1, 1]) == pytest.approx(np.radians(2.0))
     assert log.label.tolist() == [1, 2, UNLABELLED, UNLABELLED, UNLABELLED]
