@@ -2,12 +2,14 @@
 
 import math
 import re
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import chain, pairwise, product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy
@@ -51,12 +53,8 @@ EARTH = dict.fromkeys(("lat", "latitude"), "lat") | dict.fromkeys(("lon", "lng",
 EARTH |= dict.fromkeys(("alt", "altitude", "height", "elevation"), "alt")
 ANGLES = {"roll": "roll", "pitch": "pitch", **dict.fromkeys(YAW, "yaw")}
 TURNS = {"rad": 1.0, "deg": np.pi / 180.0}
-ALIAS = (
-    {"sec": "s", "secs": "s", "seconds": "s", "second": "s", "msec": "ms", "milliseconds": "ms", "usec": "us"}
-    | {"millis": "ms", "millisec": "ms", "micros": "us"}
-    | {"µs": "us", "microseconds": "us", "nsec": "ns", "nanoseconds": "ns"}
-    | {"degree": "deg", "degrees": "deg", "°": "deg", "radian": "rad", "radians": "rad", "meters": "m", "meter": "m"}
-)
+WORDS: dict[str, Any] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+ALIAS = {word: unit for unit, words in WORDS["units"].items() for word in words.split()}
 AXES = PLACE | TURN | {*"xyzw", *ANGLES}  # Words of the columns of one path, beside which its name stands
 AXIS, PAIRED = "|".join(("x", "y", "z", *YAW)), "|".join(("x", "y", "t", *YAW))
 SPREAD = "(cov|covariance|var|variance|std|stddev|stdev|sd|sigma)"
@@ -207,14 +205,8 @@ def _sided(names: Sequence[str]) -> list[str]:
 
 
 WORD = "(?i)(?<![a-z])({})(?![a-z])"
-TRUER = (
-    "gt true truth groundtruth ground_truth mocap vicon optitrack", "ref reference desired target expected",
-    "actual real reality", "sim simulated",
-)  # fmt: skip
-OTHERS = (
-    "est", "pred predict predicted prediction filter filtered kalman fused corrected estimation vo vio mean mu",
-    "robot output meas measured noisy raw odometry", *TRUER,
-)  # fmt: skip
+TRUER: list[str] = WORDS["truer"]
+OTHERS: list[str] = [*WORDS["others"], *TRUER]
 """Words of the true path in a row with another, the first of these that the row has; and those of the other one."""
 
 

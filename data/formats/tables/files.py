@@ -9,6 +9,7 @@ import csv
 import itertools
 import math
 import re
+import tomllib
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -268,10 +269,7 @@ FRACTIONS = {6: "us|usecs?|micro.*", 3: "ms|msecs?|milli.*"}
 def _lists(
     names: tuple[str, ...] | None, rows: list[tuple[str, ...]], number: IntArray
 ) -> tuple[tuple[str, ...] | None, list[tuple[str, ...]], IntArray]:
-    """Names, rows and their lines, with lists of numbers within fields of a column as columns NAME_1, NAME_2, ...: as
-    many numbers in each field, or any number of numbers, or of groups `(1, 2.5), (2, 0.5)` or `1:2.5;2:0.5`, as rows
-    below, with the number of their row in the column NAME.element; of columns with as many in each in the same rows.
-    """
+    """Lists in fields as columns NAME_1, NAME_2; of unequal ones, or of groups `(1, 2.5), (2, 0.5)`, as rows below."""
     count, below = len(rows), dict[tuple[int, ...], list[int]]()  # rows below by how many each row has
     for j in reversed(range(len(rows[0]))):
         pattern = r"[\[({]|\d;|\d\s+[-+.\d]"
@@ -327,9 +325,8 @@ def _each(rows: Sequence[Sequence[str]]) -> int:
 def _by_rows(
     rows: Sequence[Sequence[str]], at: Sequence[int], count: int, steps: int
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]], list[int]] | None:
-    """Observations from rows that each hold any number of them, two or three numbers each, behind the same words: names
-    of columns, a row for each observation, and the row it came from. `at`: positions of the rows among `count` lines,
-    blank ones included, of which there is one for each of the odometry's `steps`. None where rows are not so.
+    """Names, rows of an observation each, and the rows they came from, at positions `at` among `count` lines, of which
+    there is one for each of the odometry's `steps`; None where rows are no words and any number of observations.
     """
     rows = [row[: max((j + 1 for j, f in enumerate(row) if f), default=0)] for row in rows]
     longest = max(rows, key=len)
@@ -399,8 +396,7 @@ def _by_stamp(path: Path, tables: Sequence[TextTable]) -> TextTable | None:
 
 def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
     """A row for each landmark of a table with a column for each, of names with a star by quantity; what the star stands
-    for is the label, but of columns that are filled from the left, as far as a row has observations. Blank, infinite,
-    zero and negative ranges are no observation. DataError where no column matches.
+    for is the label, but of columns that are filled from the left. Blank, infinite, zero and negative ranges are none.
     """
     found: dict[str, dict[str, int]] = {}
     own = not {"label", "true_id"} & set(patterns)
@@ -486,13 +482,8 @@ DIMENSIONS = {"length": LENGTH | {"mi": 1609.344, "nmi": 1852.0}, "angle": ANGLE
 
 STAMPS = ("t", "t1", "t2")
 INSTANTS = {*STAMPS, "frame", "frame1"}
-QUANTITIES = {
-    **dict.fromkeys((*STAMPS, "dt"), "time"), **dict.fromkeys(("x", "y", "dx", "dy", "range", "sx", "sy"), "length"),
-    **dict.fromkeys(("theta", "dtheta", "bearing", "stheta", "steering", "lat", "lon"), "angle"),
-    "v": "length/time", "vy": "length/time", "omega": "angle/time",
-    **dict.fromkeys(("left", "right", "frame", "id", "true_id", "label", "qx", "qy", "qz", "qw"), ""),
-    **dict.fromkeys(("frame1", "frame2", "source", "descriptor", "class", "kind"), ""),
-}  # fmt: skip
+NAMES: dict[str, dict[str, str]] = tomllib.loads(Path(__file__).with_name("names.toml").read_text(encoding="utf-8"))
+QUANTITIES = {q: dimension for dimension, words in NAMES["quantities"].items() for q in words.split()}
 """Quantities of columns, and their dimensions; rates are per second by default, lat and lon in degrees."""
 
 
@@ -579,30 +570,13 @@ SPEED = ("velocity", "vel", "v", "speed", "omega", "w")  # Words of the speed of
 HOLDING = ("data", "message", "msg", "payload")  # Words of objects within an object
 WHEEL = "|".join((*HOLDING, "wheels?", *SPEED, "ticks?|counts?|position|pos|angle|joint|encoders?|enc|phi"))
 WHEELS = {side: re.compile(f"(?!{side[0]}$)(?:{WHEEL})*(?:{side}|{side[0]})(?:{WHEEL})*") for side in ("left", "right")}
-ALSO = {
-    "v": ("velocity", "vel", "speed", "linearvelocity", "linearspeed", "linvel", "forwardvelocity", "forwardspeed"),
-    "omega": (
-        *("w", "wz", "yawrate", "angularvelocity", "angularvelocityz", "angularspeed", "angvel", "turnrate", "gyroz"),
-    ),
-    "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg", "b", "phi", "azimuth"),
-    "dx": ("d", "ds", "deltas", "deltad", "deltax"), "dy": ("deltay",), "dtheta": ("deltatheta", "deltayaw", "dyaw"),
-    "steering": ("steer", "steeringangle"), "dt": ("deltat", "deltatime", "timestep"),
-    "x": ("gpsx", "uwbx", "east", "easting", "relx", "xrel", "localx", "xlocal"),
-    "y": ("gpsy", "uwby", "north", "northing", "rely", "yrel", "localy", "ylocal"), "theta": ("orientation",),
-    **dict.fromkeys(("label", "id"), ("landmarkid", "beaconid", "markerid", "tagid")),
-    "lat": ("latitude",), "lon": ("longitude", "lng"),
-    "frame": ("poseid", "frameid"), "frame1": ("fromid", "idfrom"), "frame2": ("toid", "idto"),
-}  # fmt: skip
+ALSO, TWIST = ({key: tuple(words.split()) for key, words in NAMES[of].items()} for of in ("also", "twist"))
 WITHIN = ("frame", "frame1", "frame2")
 """Other usual names of a quantity, in small letters only, beside those of results (`role_of`); read, with the unit at
 their end, where a file has exactly one of them."""
 
 
 AGAIN = 3  # Least usual number of observations of a landmark
-TWIST = {
-    "v": ("linearx", "velx", "velocityx", "linearvelx"), "omega": ("angularz", "angularvelocityz", "angularvelz"),
-}  # fmt: skip
-"""Ends of names of velocities along and about an axis of the robot."""
 
 
 def _sideways(file: TextTable, column: int) -> bool:
@@ -623,17 +597,9 @@ def _comes_again(file: TextTable, column: int) -> bool:
     return not (counted_up and len(set(map(len, each))) > 1)
 
 
-PARTS = {
-    "odometry": frozenset(("odom", "odometry", "wheel", "encoder", "enc")),
-    "observations": frozenset(
-        ("obs", "observation", "meas", "measurement", "detection", "cone", "feature", "landmark", "lm", "beacon")
-    ),
-    "fixes": frozenset(("gps", "gnss", "uwb", "rtk", "fix")),
-    "truth": TRUE | REFERENCE | {"ground", "vicon", "mocap", "optitrack", "actual"},
-}  # fmt: skip
-"""Words in the name of a column, in the singular, that tell the part it is of."""
-ALSO_OF = {"odometry": {"motion", "control", "ctrl", "cmd", "vel"}, "observations": {"sensor", "range", "bearing"}}
-"""Words of a kind of rows, beside those of `PARTS`."""
+PARTS, ALSO_OF = ({part: frozenset(words.split()) for part, words in NAMES[of].items()} for of in ("parts", "rows"))
+"""Words in the name of a column, in the singular, that tell the part it is of; of a kind of rows, beside these."""
+PARTS["truth"] |= TRUE | REFERENCE
 
 
 def kinds_by_part(path: Path) -> dict[str, Path]:

@@ -32,9 +32,8 @@ TURNS = 4.0 * math.pi, 721.0  # Angle between the outer beams, above as many rad
 def read_scans(
     file: TextTable, columns: Columns, scanner: Array | None, odometry: Odometry, mount: Array | None = None
 ) -> tuple[LaserScans, Table]:
-    """All scans, and their stamps as a table; without stamps one for each row of the odometry. `scanner`:
-    (3,) first angle, step [rad] and reach [m]; `mount`: (3,) its pose on the robot. DataError for columns or
-    fields, UsageError without angles.
+    """All scans, and their stamps as a table; without stamps one for each row of the odometry. `scanner`: (3,) first
+    angle, step [rad] and reach [m]; `mount`: (3,) its pose on the robot. UsageError without angles.
     """
     at = {name.rpartition(".")[2]: k for k, name in enumerate(file.names)}
     numbers = _geometry(file.names)
@@ -52,11 +51,9 @@ def read_scans(
         if {*beams} <= {*number}:  # arrays may be stored in another order
             beams = sorted((k for k in number if number[k] >= number[first]), key=number.__getitem__)
     listed = at.get("ranges") if not beams else None  # in one field
-    if not beams and listed is None:  # the only array of many numbers
-        wide = [names for _, run in groupby(file.names, key=stem_of) if len(names := list(run)) >= BEAMS]
-        if len(wide) == 1 and file.named:
-            beams = [k for k, name in enumerate(file.names) if name in wide[0]]
-            columns.notes.append(f"{file.path.name}: inferred: --columns scans.range={wide[0][0]}")
+    if not beams and listed is None and (wide := wide_in(file, stated=True)):  # the only array of many numbers
+        beams = list(range(file.names.index(wide[0]), file.names.index(wide[1]) + 1))
+        columns.notes.append(f"{file.path.name}: inferred: --columns scans.range={wide[0]}")
     alone = None if beams or listed is not None or t else _alone(file, len(odometry.rows))
     if alone is not None:
         first, before = alone
@@ -126,9 +123,7 @@ def read_scans(
 
 
 def wide_in(file: TextTable, *, stated: bool) -> list[str]:
-    """First and last name of the only columns of a scan in a table of other things: numbered, at least `BEAMS`, whose
-    names tell it where no scanner is `stated`.
-    """
+    """First and last name of the only columns of a scan; without a `stated` scanner their names tell that they are."""
     runs = [names for _, run in groupby(file.names, key=stem_of) if len(names := list(run)) >= BEAMS and file.named]
     words = [{*words_of(stem_of(names[0]))[0]} for names in runs]
     fits = [bool(of & SCANNED) or (stated and not of & {"cov", "covariance"}) for of in words]
