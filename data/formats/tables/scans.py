@@ -63,8 +63,16 @@ def read_scans(
     if not beams and listed is None:
         what = f"no scans: {file.described()}; columns such as range0, range1 are needed"
         raise DataError.at(file.path, f"{what}, or --columns scans.range=N: all from the N-th on")
+    metre = columns.units.factor("scans", "range")
+
+    def fields_of(row: Sequence[str]) -> list[str]:
+        return [row[j] for j in beams] if listed is None else row[listed].strip("()[] ").split(",")
+
+    read = [metre * float(f) for row in file.rows for f in fields_of(row) if is_number(f)]
+    far = max(filter(math.isfinite, read), default=0.0)
+    reach = far * (1.0 if read.count(far) > 2 else 1.001)  # where several have it, what stands for no return
     if scanner is None and not {"angle_min", "angle_max"} <= {*numbers} and not {*STATED} <= {*numbers}:
-        scanner = _listed_angles(file, beams, columns)
+        scanner = _listed_angles(file, beams, columns, reach)
     there = [k for k, row in enumerate(file.rows) if listed is not None or any(row[j] for j in beams)]
     if len(beams) > 1 and len(there) < len(file):  # a shorter array than others
         file = replace(file, rows=tuple(file.rows[k] for k in there), line=file.line[there])
@@ -81,15 +89,14 @@ def read_scans(
         stamp = columns.stamps(file, "scans", np.ones(len(file), bool)) if stamped else rows
     found, header = Collected(), SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0), frame_id="laser")
     given = {} if scanner is None else dict(zip(STATED, scanner.tolist(), strict=True))
-    metre = columns.units.factor("scans", "range")
-    read = [metre * float(f) for row in file.rows for f in (row[j] for j in beams) if is_number(f)]
     least, often = np.unique([r for r in read if 0.0 < r < NOTHING], return_counts=True)
     same = float(least[often.argmax()]) if len(often) and often.max() > SHARE * len(read) else 0.0
     if same:  # more often than any robot is so close to a wall
         columns.notes.append(f"{file.path.name}: inferred: {same:g} m, {often.max()} times, stands for no return")
-    known, unit = dict[str, float](), 1.0
+    inferred = scanner is None and "range_max" not in numbers
+    known, unit = {"range_max": reach} if inferred else {}, 1.0
     for k, (row, line) in enumerate(zip(file.rows, file.line.tolist(), strict=True)):
-        fields = [row[j] or "nan" for j in beams] if listed is None else row[listed].strip("()[] ").split(",")
+        fields = [f or "nan" * (listed is None) for f in fields_of(row)]
         if (slots != range(len(slots))).any():
             each = dict(zip(slots.tolist()[::-1], fields[::-1], strict=True))  # of beams at one angle the first
             fields = [each.get(slot, "nan") for slot in range(max(each) + 1)]
@@ -104,11 +111,13 @@ def read_scans(
         if missing := [name for name in STATED if name not in own]:
             what = f"{file.path.name} names no {', '.join(missing)}"
             raise UsageError(f"--scanner LOW,STEP,MAX, as in -90deg,0.5deg,8m, is needed: {what}")
+        if k == 0 and inferred:
+            columns.notes.append(f"{file.path.name}: inferred: reach {reach:g} m, the farthest reading")
         own.setdefault("angle_max", own["angle_min"] + last * own["angle_increment"])
         if k == 0 and not given and TURNS[0] < last * abs(own["angle_increment"]) < TURNS[1]:
             unit = ANGLE["deg"]
             columns.notes.append(f"{file.path.name}: inferred: angles of beams in deg, as in rad they pass two turns")
-        ranges = [columns.units.factor("scans", "range") * float(f) for f in fields]
+        ranges = [metre * float(f) for f in fields]
         angles = {name: unit * own[name] for name in GEOMETRY[:3]}
         message = SimpleNamespace(header=header, ranges=ranges, **own | angles)
         found.scans.add(message, float(stamp[k]), f"{file.path}:{line}")
@@ -170,8 +179,8 @@ def folded_up(file: TextTable) -> TextTable | None:
 FAR, MOST = frozenset(("range", "distance", "dist")), 4000  # Words of a range; most beams of a scan
 
 
-def _listed_angles(file: TextTable, beams: Sequence[int], columns: Columns) -> Array | None:
-    """Angles of all beams, of the only array of angles that has as many numbers, and the farthest range; else None."""
+def _listed_angles(file: TextTable, beams: Sequence[int], columns: Columns, reach: float) -> Array | None:
+    """Angles of all beams, of the only array of angles that has as many numbers, and the reach; else None."""
     found = []
     for k, name in enumerate(file.names):
         fields = [row[k] for row in file.rows if row[k]]
@@ -182,13 +191,9 @@ def _listed_angles(file: TextTable, beams: Sequence[int], columns: Columns) -> A
         return None
     name, angles = found[0]
     deg = words_of(name)[1] == "deg" or float(np.ptp(angles)) > TURNS[0]
-    ranges = np.array([row[j] for row in file.rows for j in beams if is_number(row[j])], float)
-    farthest = float(ranges[np.isfinite(ranges)].max(initial=0.0))  # where several have it, what stands for no return
-    reach = columns.units.factor("scans", "range") * farthest * (1.0 if np.sum(ranges == farthest) > 2 else 1.001)
     columns.read.add((file.path, name))
-    columns.notes.append(
-        f"{file.path.name}: inferred: {name} are the angles of beams{', in deg' * deg}; reach {reach:g} m"
-    )
+    what = f"{name} are the angles of beams{', in deg' * deg}; reach {reach:g} m"
+    columns.notes.append(f"{file.path.name}: inferred: {what}")
     return np.append(angles * (ANGLE["deg"] if deg else 1.0), reach)
 
 

@@ -92,14 +92,19 @@ def test_scans_of_a_table_are_those_of_a_laser_log(read, named):
     (("min_angle", "laserAngleMax", "max_range [cm]"), (-np.pi, np.pi - STEP, 2000)),
     (("scan.angle_start", "angular_resolution", "range_max"), (-180, 10, 20)),
     (("angle_min_deg", "angle_inc_deg", "rangeMax"), (-180, 10, 20)),
+    (("angle_min", "angle_increment"), (np.pi, -STEP)),
 ])  # fmt: skip
 def test_names_units_and_keys_of_a_scanner(read, names, numbers):
+    """Of JSON, whatever its name; a reach that it does not state is that of the farthest reading."""
+    path, stated = "scan.json" if "rangeMax" in names else "scan.txt", len(names) > 2
+    expected = (-np.pi, STEP, 20.0) if stated else (np.pi, -STEP, 1.001 * (1.4 + 35 / 9))
     keys = dict(zip(names, numbers)) | {"t": [1.7e9 + k / 2 for k in range(9)]}
     keys["ranges"] = (1.0 + np.arange(9)[:, None] / 20 + np.arange(BEAMS) / 9).tolist()
-    log, said = read({"odo.csv": ODOMETRY, "scan.json": json.dumps(keys)}, "--scans", "scan.json")
+    log, said = read({"odo.csv": ODOMETRY, path: json.dumps(keys)}, "--scans", path)
     scanner = log.recorded.scans.scanner
     assert log.recorded.scans.ranges.shape == (9, BEAMS)
-    assert (scanner.angle_min, scanner.angle_step, scanner.max_range) == pytest.approx((-np.pi, STEP, 20.0))
+    assert (scanner.angle_min, scanner.angle_step, scanner.max_range) == pytest.approx(expected)
+    assert ("inferred: reach 5.29418 m, the farthest reading" in said) != stated
     assert ("inferred: angles of beams in deg" in said) == ("scan.angle_start" in names)
 
 
