@@ -149,17 +149,30 @@ def test_scans_of_an_array_beside_the_odometry_have_the_angles_of_another(conver
     assert log.recorded.increments.covariance[1, 0, 0] > 0.001
 
 
-@pytest.mark.parametrize(("stamp", "title"), [("{k}", "time"), ("{k}.{i:03d}", "time"), ("{k}", "scan")])
+@pytest.mark.parametrize(("stamp", "title"), [("{k}", "time"), ("{k}.{i:03d}", "time"), ("{k}", "scan"), ("{k}", "")])
 def test_a_row_for_each_beam_is_folded_into_scans(read, stamp, title):
-    """Of a stamp or number for each scan or each beam, some of which return nothing; without an odometry."""
-    far = 1.0 + np.arange(800.0).reshape(20, 40) / 200.0
-    rows = [f"{stamp.format(k=k, i=i)},{9 * i},{1000 * far[k, i]}" for k in range(20) for i in range(40) if (i + k) % 7]
-    log, said = read({"beams.csv": f"{title},angle_deg,distance_mm\n" + "\n".join(rows)}, "--unit", "scans.range=mm")
+    """Of a stamp or number for each scan or beam; or without names, clockwise, some without return or out of order."""
+    far, there = 1.0 + np.arange(800.0).reshape(20, 40) / 200.0, (np.arange(40) + np.arange(20)[:, None]) % 7 > 0
+    each = [(k, i) for k in range(20) for i in range(40) if there[k, i] or not title]
+    rows = [f"{stamp.format(k=k, i=i)},{9 * i},{1000 * far[k, i] * there[k, i]}" for k, i in each]
+    header, words = f"{title},angle_deg,distance_mm\n", ("--unit", "scans.range=mm")
+    if not title:
+        rows[119], rows[120] = (f"{k},{row.partition(',')[2]}" for k, row in ((2.5, rows[120]), (2.7, rows[119])))
+        words = ("--unit", "scans.range=mm,angle=-deg", "--columns", "scans.t=1,scans.angle=2,scans.range=3")
+        header, far, there = "", far[:, ::-1], there[:, ::-1]
+    log, said = read({"beams.csv": header + "\n".join(rows)}, *words)
     found = log.recorded.scans
     assert found.ranges.shape == (20, 40)
-    assert found.ranges[found.ranges > 0.0] == pytest.approx(far[(np.arange(40) + np.arange(20)[:, None]) % 7 > 0])
-    assert (found.scanner.angle_min, found.scanner.angle_step) == pytest.approx((0.0, np.radians(9.0)))
-    assert "20 scans, a row for each beam, in steps of 9 deg" in said
+    assert found.ranges[found.ranges > 0.0] == pytest.approx(far[there])
+    assert np.degrees([found.scanner.angle_min, found.scanner.angle_step]) == pytest.approx([-351.0 * (not title), 9.0])
+    lost = 0 if title else 114
+    assert f"20 scans, a row for each beam, in steps of 9 deg; 686 echoes, {lost} rows without one" in said
+    assert ("angles count anticlockwise" in said) == bool(title)
+
+
+def test_poses_beside_a_distance_are_no_beams(read):
+    rows = "".join(f"{k},{np.sin(k / 30)},{-np.cos(k / 30)},{k / 30 % 6.28},{k / 30}\n" for k in range(999))
+    assert read({"a.csv": "t,x,y,theta,distance\n" + rows})[0].recorded.scans is None
 
 
 def test_scans_beyond_the_odometry_are_left_out_and_said_and_their_stamps_are_used(read):
