@@ -132,7 +132,7 @@ def _by_fields(kind: str, types: Mapping[str, Any]) -> tuple[Role, str]:
     for within, some in (("", fields), *parts):
         if names := ranged([n for n, (_, of) in some if of[0] in NUMBERS]):
             return RANGED[len(names) - 2], " of ".join(within + name for name in (names[0], names[1]))
-    return Role.NOTHING, "messages of this type are not read"
+    return Role.NOTHING, "a table: slamref convert table BAG:/TOPIC LOG"
 
 
 def chosen(

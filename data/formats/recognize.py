@@ -18,7 +18,7 @@ def what_to_type(path: Path) -> str:
     from data.formats.arrays import suffix_of
     from data.formats.matlab import variables
     from data.formats.mrclam import is_mrclam, robots
-    from data.formats.results.bags import is_bag
+    from data.formats.recordings.ros import is_bag
 
     file = shlex.quote(str(path))
     if is_mrclam(path):

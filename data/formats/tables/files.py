@@ -28,8 +28,7 @@ from data.earth import on_plane
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import ELEMENT, WIDE, columns_of, is_arrays, solids
 from data.formats.messages import LISTED, cut_end, kinds_of, parts_of, read_lines, whole_names
-from data.formats.recordings.ros import table_of
-from data.formats.results.bags import file_and_topic
+from data.formats.recordings.ros import file_and_topic, is_bag, table_of
 from data.formats.results.reading import RATES, REFERENCE, TRUE, role_of, topics_in, words_of
 from data.inputs import IntArray
 from data.notice import Notice
@@ -172,9 +171,12 @@ def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, se
     """The file's rows, of FILE:WORD those with that word; DataError if unreadable, binary, empty, or unequal. `stated`:
     names of columns; for arrays; `odometry`: rows of it; `seen`: each may have a row of several observations.
     """
+    bag, topic = file_and_topic(str(path))
+    if topic is None and is_bag(bag):
+        what = f"type slamref convert bag {bag} --list; a topic is a table: slamref convert table {bag}:/TOPIC LOG"
+        raise DataError.at(path, f"a ROS bag; {what}")
     if len(parts := parts_of(path)) > 1:
         return _joined(path, parts)
-    bag, topic = file_and_topic(str(path))
     if topic is not None:
         columns, messages = table_of(bag, topic)
         return TextTable(path, columns, tuple(messages), np.arange(1, len(messages) + 1), named=True)
@@ -348,6 +350,11 @@ def _by_rows(
 def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
     """One table of files: a folder's one below the other, numbered as `frame`, else side by side."""
     tables = [read_text(part) for part in parts]
+    often = Counter(name for t in tables if t.named for name in t.names if not {*words_of(name)[0]} & {*STAMP})
+    tables = [
+        replace(t, names=tuple(t.path.stem if often[n] > 1 else n for n in t.names)) if len(t.names) < 3 else t
+        for t in tables
+    ]  # a column alone beside stamps is that of its file, or topic
     first, below = tables[0], path.is_dir()
     if not below and (nearest := _by_stamp(path, tables)) is not None:
         return nearest
