@@ -3,8 +3,10 @@
 import json
 import math
 import pickle
+import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from itertools import zip_longest
 from pathlib import Path
@@ -33,14 +35,31 @@ ELEMENT = "element"  # Name of the column of numbers of structs, from 0
 def is_arrays(path: Path) -> bool:
     """Whether a file is one of arrays by its name, and not of `records`."""
     lines, path = records(path)[0], file_and_word(path)[0]
-    suffix, there = path.suffix.lower(), path.is_file() and not lines
+    suffix, there = suffix_of(path), path.is_file() and not lines
     return there and (suffix in SUFFIXES or is_octave(path) or (suffix in YAML and "\n---" not in read_plain(path)))
+
+
+def suffix_of(path: Path) -> str:
+    """The suffix of a file, that of JSON where objects or lists of these are its content, whatever its name."""
+    suffix = path.suffix.lower()
+    if suffix not in (*SUFFIXES, *YAML):
+        with suppress(OSError, ValueError, RecursionError), path.open("rb") as file:
+            if re.match(rb"\W*{", file.read(20)) and _json(path, path.stat().st_mtime_ns):
+                return TEXTS[0]
+    return suffix
+
+
+@lru_cache(maxsize=2)
+def _json(path: Path, _: int) -> Any:
+    text = path.read_text(encoding="utf-8-sig")
+    whole = text.count("\n{") < 1 or text.lstrip()[:1] == "["
+    return json.loads(text) if whole else [json.loads(line) for line in text.splitlines() if line]
 
 
 def records(path: Path) -> tuple[bytes, str]:
     """Words and numbers of the matrix FILE:NAME, or of the longest array, as CSV, else none; the word of their rows."""
     path, word = file_and_word(path)
-    held = path.is_file() and (path.suffix.lower() in (".mat", *TEXTS, *PICKLES) or is_octave(path))
+    held = path.is_file() and (suffix_of(path) in (".mat", *TEXTS, *PICKLES) or is_octave(path))
     return _records(path, word, path.stat().st_mtime_ns) if held else (b"", word)
 
 
@@ -63,7 +82,7 @@ def read_plain(path: Path) -> str:
 
 def named(path: Path) -> dict[str, Any]:
     """The arrays of a file by name; runs no code of it. DataError for a damaged file."""
-    if path.suffix.lower() in (*TEXTS, *YAML, *PICKLES):
+    if suffix_of(path) in (*TEXTS, *YAML, *PICKLES):
         return _plain_file(path)
     if path.suffix.lower() not in (".npz", ".npy"):
         return octave(path) if is_octave(path) else dict(load(path, variables(path)))
@@ -109,13 +128,11 @@ def _plain_file(path: Path) -> dict[str, Any]:
     try:
         if path.suffix.lower() in YAML:
             found = _plain(package(path, "yaml", "pyyaml").safe_load(read_plain(path)))
-        elif path.suffix.lower() not in TEXTS:
+        elif path.suffix.lower() in PICKLES:
             with path.open("rb") as file:
                 found = _plain(_Unpickler(file, encoding="latin1").load())
         else:
-            text = path.read_text(encoding="utf-8-sig")
-            whole = text.count("\n{") < 1 or text.lstrip()[:1] == "["
-            found = _plain(json.loads(text) if whole else [json.loads(line) for line in text.splitlines() if line])
+            found = _plain(_json(path, path.stat().st_mtime_ns))
     except OSError as error:
         raise DataError.at(path, f"cannot be read: {error.strerror}") from None
     except (pickle.UnpicklingError, EOFError, ImportError, RecursionError, MemoryError, *BROKEN) as error:

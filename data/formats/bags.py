@@ -132,7 +132,7 @@ def _by_fields(kind: str, types: Mapping[str, Any]) -> tuple[Role, str]:
     for within, some in (("", fields), *parts):
         if names := ranged([n for n, (_, of) in some if of[0] in NUMBERS]):
             return RANGED[len(names) - 2], " of ".join(within + name for name in (names[0], names[1]))
-    return Role.NOTHING, "messages of this type are not read"
+    return Role.NOTHING, "a table: slamref convert table BAG:/TOPIC LOG"
 
 
 def chosen(
@@ -452,9 +452,7 @@ def scans_of(
     path: Path, topics: Sequence[Topic], found: Collected, robot: str, span: tuple[float, float],
     mending: Mending = AS_STATED,
 ) -> LaserScans:  # fmt: skip
-    """The scans of a bag on a robot's frame within the span [s]; what is no return is as in sensor_msgs/LaserScan.
-    DataError without a scan within the span, or if the laser is not level.
-    """
+    """The scans of a bag on a robot's frame within the span [s]; what is no return is as in sensor_msgs/LaserScan."""
     read = found.scans
     if not read.ranges:
         topic = next(t.name for t in topics if t.role is Role.SCANS)
@@ -508,10 +506,8 @@ def _scanner(path: Path, found: Collected, robot: str, low: float, step: float) 
 
 
 def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, mending: Mending = AS_STATED) -> Log:
-    """The log: frames are the scans within the span of the odometry, which is interpolated at their stamps. A topic may
-    be left out if it is the only one of its kind. Without odometry (or with `tf`) the poses are those of tf, as in bags
-    for gmapping, karto and slam_toolbox; if there are none, and `mending` wants none, the robot is the laser, at rest.
-    UsageError: no `rosbags`, or a topic is missing or ambiguous. DataError: no or a damaged bag, or no valid scan.
+    """The log: frames are the scans within the span of the odometry, which is interpolated at their stamps, or tf;
+    without any, if `mending` wants none, the robot is the laser, at rest. UsageError: a topic is missing or ambiguous.
     """
     every = topics_of(path)
     if scan is None and not any(t.role is Role.SCANS for t in every):
@@ -576,9 +572,8 @@ def _poses(topic: Topic, found: Collected, robot: str) -> tuple[Array, Array, Ar
 def second_closures(
     topic: Topic, found: Collected, noise: TravelNoise | None, robot: str, time: Array, taken: Collection[str]
 ) -> tuple[Closures, str]:
-    """Closures between successive frames at `time` (N,) that the topic covers, and a sentence. `noise`: as stated,
-    None: of the twists. `robot`: the other odometry's frame, on which tf mounts this one's; `taken`: names of other
-    sources. DataError: no message, fewer than two frames, or a frame that tf does not mount. UsageError: no noise.
+    """Closures between successive frames at `time` (N,), and a sentence. `noise`: None: of the twists; `robot`: the
+    other odometry's frame, on which tf mounts this one's; `taken`: names of other sources. UsageError: no noise.
     """
     if not found.poses.get(topic.name):
         raise DataError(f"{topic.name}: no message; some are needed")

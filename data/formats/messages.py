@@ -13,6 +13,7 @@ from data.columns.named import STAMP
 from data.csv_table import bytes_of, is_number
 from data.errors import DataError
 from data.formats.arrays import is_arrays, records
+from data.formats.recordings.ros import file_and_topic
 from data.formats.wrapped import echoed_names, file_and_word, unwrapped
 
 
@@ -219,10 +220,13 @@ def _stamped(fields: dict[str, str]) -> dict[str, str]:
 
 
 def parts_of(path: Path) -> list[Path]:
-    """The files of a folder by name, or of FIRST+SECOND+..., the others in the folder of the first; else the one."""
+    """The files of a folder by name, or of FIRST+SECOND+..., the others in the folder, or bag, of the first; or one."""
     if path.is_dir():
         return sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith(".")) or [path]
     first, *others = str(path).split("+")
+    bag, topic = file_and_topic(first)
+    if topic is not None:
+        return [Path(first), *(Path(o if Path(o).exists() or ":" in o else f"{bag}:{o}") for o in others)]
     each = [Path(first), *(Path(name) if Path(name).exists() else Path(first).parent / name for name in others)]
     if path.exists() or not each[0].is_file():
         return [path]

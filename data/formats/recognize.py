@@ -15,9 +15,10 @@ GRAPHS = (".g2o", ".graph", ".toro", ".txt")  # suffixes of files of graphs
 
 def what_to_type(path: Path) -> str:
     """Of a file or folder that is no log: what it is, and the command that takes it; empty if that is unknown."""
+    from data.formats.arrays import suffix_of
     from data.formats.matlab import variables
     from data.formats.mrclam import is_mrclam, robots
-    from data.formats.results.bags import is_bag
+    from data.formats.recordings.ros import is_bag
 
     file = shlex.quote(str(path))
     if is_mrclam(path):
@@ -43,7 +44,7 @@ def what_to_type(path: Path) -> str:
     relations, landmarks = edges_of(path)
     if relations and not landmarks:
         return f"a pose graph; slamref audit {file} optimizes it, slamref convert g2o {file} LOG makes it a log"
-    ours = (said for of, said in KINDS.items() if path.suffix.lower() in of.split())
+    ours = (said for of, said in KINDS.items() if suffix_of(path) in of.split())
     return (KINDS[".g2o .graph .toro"] if landmarks else next(ours, "")).format(file=file)
 
 

@@ -17,8 +17,8 @@ from data.dates import ISO
 from data.earth import east_north_up
 from data.errors import DataError, UsageError, did_you_mean
 from data.formats.open_log import load_folder
+from data.formats.recordings.ros import file_and_topic, is_bag
 from data.formats.results import path as paths
-from data.formats.results.bags import file_and_topic, is_bag
 from data.formats.results.path import ROWS, STATED, Clock, GivenPath, Manner, restamped
 from data.formats.results.reading import read_path
 from data.formats.results.tables import Companions, companions

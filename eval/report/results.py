@@ -13,7 +13,7 @@ import pandas as pd
 from data.command import stretch
 from data.errors import DataError
 from data.formats.messages import parts_of
-from data.formats.results.bags import file_and_topic, is_bag
+from data.formats.recordings.ros import file_and_topic, is_bag
 from data.formats.results.reading import read_path
 from data.formats.results.space import ignored
 from data.formats.results.tables import Companions

@@ -27,11 +27,11 @@ def on_one_set(ranges: Sequence[Array], first: Array, step: Array) -> tuple[Arra
     result = np.zeros((len(ranges), beams))
     angle = low + apart * np.arange(beams)
     for i, r in enumerate(ranges):
-        result[i] = r if of[i] == best else _resampled(r, (angle - first[i]) / step[i])
+        result[i] = r if of[i] == best else resampled(r, (angle - first[i]) / step[i])
     return result, low, apart, int((of != best).sum())
 
 
-def _resampled(ranges: Array, at: Array) -> Array:
+def resampled(ranges: Array, at: Array) -> Array:
     """Ranges at fractional numbers of beams (B,)."""
     n = len(ranges)
     inside = (at > -0.5) & (at < n - 0.5)

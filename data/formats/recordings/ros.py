@@ -5,6 +5,7 @@ stamps, and held before the first and after the last.
 """
 
 import math
+import re
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -79,6 +80,17 @@ def files_of(path: Path) -> list[Path]:
 
 
 SUFFIXES, METADATA = (".bag", ".mcap", ".db3"), "metadata.yaml"
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path looks like a bag: by its suffix, or as a folder of ROS 2."""
+    return bool(files_of(path))
+
+
+def file_and_topic(name: str) -> tuple[Path, str | None]:
+    """The bag and the topic that `FILE:TOPIC` names; of any other name the path and None, as files may hold a colon."""
+    cuts = [m.start() for m in re.finditer(":", name)] if not Path(name).exists() else []
+    return next(((Path(name[:k]), name[k + 1 :]) for k in cuts if is_bag(Path(name[:k]))), (Path(name), None))
 
 
 def stamp_of(message: Any, recorded: float) -> float:
@@ -216,9 +228,7 @@ class Tree:
 
 
 def table_of(path: Path, topic: str) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Names and rows of the numbers in a topic's messages, and their stamps t [s]: NAME.FIELD, of lists NAME_1, NAME_2,
-    ..., of joints NAME.JOINT.
-    """
+    """Names and rows of the numbers in a topic's messages, beside stamps t: NAME.FIELD, NAME_1, NAME.JOINT."""
     with opened(path) as reader:
         kinds = {c.topic: c.msgtype for c in reader.connections}
     if (kind := {name.strip("/"): of for name, of in kinds.items()}.get(topic.strip("/"))) is None:
@@ -250,8 +260,9 @@ def _numbers(value: Any, name: str) -> dict[str, float]:
             for own, item in parts.items()
         )  # fmt: skip
         return {k: v for some in each for own, item in some.items() for k, v in _numbers(item, own).items()}
-    listed = isinstance(value, list | tuple | np.ndarray) and len(value) <= MOST_LISTED
+    most = MOST_LISTED * (MOST_BEAMS if name == "ranges" else 1)
+    listed = isinstance(value, list | tuple | np.ndarray) and len(value) <= most
     return {k: v for j, item in enumerate(value, 1) for k, v in _numbers(item, f"{name}_{j}").items()} if listed else {}
 
 
-MOST_LISTED = 64  # Most entries of a list in a message that are columns
+MOST_LISTED, MOST_BEAMS = 64, 64  # Most entries of a list in a message that are columns; times as many of a scan

@@ -4,7 +4,6 @@
 `world` here. All zeros, NaN, or -1 first, mean unknown. Other poses and places, the last `Path` and tf have none.
 """
 
-import re
 from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
@@ -23,17 +22,6 @@ PATH = "nav_msgs/msg/Path"
 WITH_COVARIANCE = (POSE, ODOMETRY)
 USUAL = (*WITH_COVARIANCE, PATH, "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
 KINDS = (*USUAL, *ros.PLACES, "geometry_msgs/msg/PoseArray")
-
-
-def is_bag(path: Path) -> bool:
-    """Whether a path looks like a bag: by its suffix, or as a folder of ROS 2."""
-    return bool(ros.files_of(path))
-
-
-def file_and_topic(name: str) -> tuple[Path, str | None]:
-    """The bag and the topic that `FILE:TOPIC` names; of any other name the path and None, as files may hold a colon."""
-    cuts = [m.start() for m in re.finditer(":", name)] if not Path(name).exists() else []
-    return next(((Path(name[:k]), name[k + 1 :]) for k in cuts if is_bag(Path(name[:k]))), (Path(name), None))
 
 
 def is_table(path: Path, topic: str) -> bool:

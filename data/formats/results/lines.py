@@ -21,9 +21,8 @@ from data.earth import placed
 from data.errors import LARGEST, DataError, UsageError
 from data.formats.arrays import ELEMENT, columns_of, is_arrays
 from data.formats.messages import cut_end, kinds_of, read_lines, runs_of
-from data.formats.recordings.ros import table_of
+from data.formats.recordings.ros import file_and_topic, table_of
 from data.formats.results import path as paths
-from data.formats.results.bags import file_and_topic
 from data.formats.results.space import UNIT, known_only, on_plane, rotations, translation_first
 from data.se2 import Array
 

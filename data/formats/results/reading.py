@@ -20,8 +20,9 @@ from data.dates import EXAMPLE, IN_SECONDS, ISO, is_date, seconds_of, unit_of
 from data.earth import on_plane, placed
 from data.errors import DataError, UsageError, did_you_mean
 from data.formats.messages import kinds_of, parts_of, runs_of, whole_names
+from data.formats.recordings.ros import file_and_topic, is_bag
 from data.formats.results import lines, path as paths
-from data.formats.results.bags import file_and_topic, is_bag, is_table, read_bag
+from data.formats.results.bags import is_table, read_bag
 from data.formats.results.lines import BLOCKS, ENTRIES, ENTRIES_6, EUROC, POSE, TRIANGLE, UNSTAMPED, Text
 from data.formats.results.path import ABSENT, DATES, DIGITS, LOCAL, MIXED, ROWS, WORLD, GivenPath, Manner, Stated
 from data.formats.results.space import UNIT, full, known_only, require_covariances

@@ -27,8 +27,7 @@ from data.earth import on_plane, placed
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import ELEMENT, WIDE, columns_of, is_arrays, solids
 from data.formats.messages import LISTED, cut_end, kinds_of, parts_of, read_lines, whole_names
-from data.formats.recordings.ros import table_of
-from data.formats.results.bags import file_and_topic
+from data.formats.recordings.ros import file_and_topic, is_bag, table_of
 from data.formats.results.reading import RATES, Side, role_of, side_by_side, topics_in, words_of
 from data.inputs import IntArray
 from data.notice import Notice
@@ -167,9 +166,12 @@ def _separator(lines: Sequence[str]) -> str:
 
 def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, seen: bool = False) -> TextTable:
     """The file's rows; `stated`: names of columns; `odometry`: rows of it; `seen`: each may have a row of several."""
+    bag, topic = file_and_topic(str(path))
+    if topic is None and is_bag(bag):
+        what = f"type slamref convert bag {bag} --list; a topic is a table: slamref convert table {bag}:/TOPIC LOG"
+        raise DataError.at(path, f"a ROS bag; {what}")
     if len(parts := parts_of(path)) > 1:
         return _joined(path, parts)
-    bag, topic = file_and_topic(str(path))
     if topic is not None:
         columns, messages = table_of(bag, topic)
         return TextTable(path, columns, tuple(messages), np.arange(1, len(messages) + 1), named=True)
@@ -262,9 +264,7 @@ FRACTIONS = {6: "us|usecs?|micro.*", 3: "ms|msecs?|milli.*"}
 def _lists(
     names: tuple[str, ...] | None, rows: list[tuple[str, ...]], number: IntArray
 ) -> tuple[tuple[str, ...] | None, list[tuple[str, ...]], IntArray]:
-    """Names, rows and their lines, with lists within fields as columns NAME_1, NAME_2, ...: as many numbers in each, or
-    any number of groups `(1, 2.5), (2, 0.5)` or `1:2.5;2:0.5`, as rows below that NAME.element counts.
-    """
+    """Lists in fields as columns NAME_1, NAME_2; of unequal ones, or of groups `(1, 2.5), (2, 0.5)`, as rows below."""
     count, below = len(rows), dict[tuple[int, ...], list[int]]()  # rows below by how many each row has
     for j in reversed(range(len(rows[0]))):
         pattern = r"[\[({]|\d;|\d\s+[-+.\d]"
@@ -343,6 +343,11 @@ def _by_rows(
 def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
     """One table of files: a folder's one below the other, numbered as `frame`, else side by side."""
     tables = [read_text(part) for part in parts]
+    often = Counter(name for t in tables if t.named for name in t.names if not {*words_of(name)[0]} & {*STAMP})
+    tables = [
+        replace(t, names=tuple(t.path.stem if often[n] > 1 else n for n in t.names)) if len(t.names) < 3 else t
+        for t in tables
+    ]  # a column alone beside stamps is that of its file, or topic
     if not path.is_dir():
         names, rows, said = side_by_side(path, [Side(t.path, t.names, t.rows, t.named) for t in tables])
         return TextTable(path, names, rows, tables[0].line, named=True, cut=said)

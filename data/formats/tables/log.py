@@ -20,7 +20,7 @@ from data.errors import DataError, UsageError, unknown
 from data.formats.messages import parts_of
 from data.formats.open_log import Recording, Samples
 from data.formats.recordings.laser import FLOOR, without_odometry
-from data.formats.results.bags import file_and_topic
+from data.formats.recordings.ros import file_and_topic
 from data.formats.results.path import ABSENT, COARSE, in_order, unturned
 from data.formats.second_odometry import together
 from data.formats.tables.files import QUATERNION, SCANS, SECOND, STARRED, TextTable, headings, nothing_there

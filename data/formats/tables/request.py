@@ -414,7 +414,8 @@ def _read(p: _Parts) -> None:
         count, seen = len(next(iter(read.values()), ())), role in p.observing
         read |= {path: table_files.read_text(path, p.named.values(), count, seen=seen)} if path not in read else {}
     for path in {p.files.get(SCANS, p.files["odometry"])} - {p.files.get(OBSERVATIONS)}:
-        read[path] = folded_up(read[path]) or read[path]
+        if SCANS in p.files or not _moves(p, read[path]):
+            read[path] = folded_up(read[path], p.columns) or read[path]
     read[p.files["odometry"]] = table_files.stepped(read[p.files["odometry"]])
     p.texts |= {role: read[path] for role, path in p.files.items()}
     p.columns.notes += [f"{path.name}: {table.cut}" for path, table in read.items() if table.cut]
@@ -493,11 +494,15 @@ def _hold_heading(p: _Parts) -> None:
         p.infer(told, "odometry")
 
 
+def _moves(p: _Parts, table: TextTable) -> bool:
+    """Whether a table has the columns of an odometry."""
+    return any(p.columns.quiet.has(table, "odometry", measured) for measured in KINDS.values())
+
+
 def _blind(p: _Parts, given: Given) -> tuple[float, Given]:
     """The speed [m/s] within which a robot without odometry moves, 0: with one; and flags, beside scans or fixes."""
     table, looked = p.texts["odometry"], p.columns.quiet
-    known = any(looked.has(table, "odometry", measured) for measured in KINDS.values())
-    if known or "odometry-kind" in given:
+    if _moves(p, table) or "odometry-kind" in given:
         return 0.0, given
     if p.texts.get(SCANS) is table:
         p.columns.notes.append(f"{p.files[SCANS].name}: no odometry in it: scan matching alone tells the motion")

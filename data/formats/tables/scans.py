@@ -13,6 +13,7 @@ from data.columns.named import STAMP
 from data.csv_table import Table, is_number
 from data.errors import DataError, UsageError
 from data.formats.bags import GEOMETRY, Collected, LaserScans, scans_of
+from data.formats.recordings.beams import resampled
 from data.formats.results.reading import words_of
 from data.formats.tables.files import ANGLE, DIMENSIONS, Columns, TextTable, stem_of
 from data.formats.tables.motion import Odometry
@@ -51,11 +52,9 @@ def read_scans(
         if {*beams} <= {*number}:  # arrays may be stored in another order
             beams = sorted((k for k in number if number[k] >= number[first]), key=number.__getitem__)
     listed = at.get("ranges") if not beams else None  # in one field
-    if not beams and listed is None:  # the only array of many numbers
-        wide = [names for _, run in groupby(file.names, key=stem_of) if len(names := list(run)) >= BEAMS]
-        if len(wide) == 1 and file.named:
-            beams = [k for k, name in enumerate(file.names) if name in wide[0]]
-            columns.notes.append(f"{file.path.name}: inferred: --columns scans.range={wide[0][0]}")
+    if not beams and listed is None and (wide := wide_in(file, stated=True)):  # the only array of many numbers
+        beams = list(range(file.names.index(wide[0]), file.names.index(wide[1]) + 1))
+        columns.notes.append(f"{file.path.name}: inferred: --columns scans.range={wide[0]}")
     alone = None if beams or listed is not None or t else _alone(file, len(odometry.rows))
     if alone is not None:
         first, before = alone
@@ -65,8 +64,16 @@ def read_scans(
     if not beams and listed is None:
         what = f"no scans: {file.described()}; columns such as range0, range1 are needed"
         raise DataError.at(file.path, f"{what}, or --columns scans.range=N: all from the N-th on")
+    metre = columns.units.factor("scans", "range")
+
+    def fields_of(row: Sequence[str]) -> list[str]:
+        return [row[j] for j in beams] if listed is None else row[listed].strip("()[] ").split(",")
+
+    read = [metre * float(f) for row in file.rows for f in fields_of(row) if is_number(f)]
+    far = max(filter(math.isfinite, read), default=0.0)
+    reach = far * (1.0 if read.count(far) > 2 else 1.001)  # where several have it, what stands for no return
     if scanner is None and not {"angle_min", "angle_max"} <= {*numbers} and not {*STATED} <= {*numbers}:
-        scanner = _listed_angles(file, beams, columns)
+        scanner = _listed_angles(file, beams, columns, reach)
     there = [k for k, row in enumerate(file.rows) if listed is not None or any(row[j] for j in beams)]
     if len(beams) > 1 and len(there) < len(file):  # a shorter array than others
         file = replace(file, rows=tuple(file.rows[k] for k in there), line=file.line[there])
@@ -83,15 +90,14 @@ def read_scans(
         stamp = columns.stamps(file, "scans", np.ones(len(file), bool)) if stamped else rows
     found, header = Collected(), SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0), frame_id="laser")
     given = {} if scanner is None else dict(zip(STATED, scanner.tolist(), strict=True))
-    metre = columns.units.factor("scans", "range")
-    read = [metre * float(f) for row in file.rows for f in (row[j] for j in beams) if is_number(f)]
     least, often = np.unique([r for r in read if 0.0 < r < NOTHING], return_counts=True)
     same = float(least[often.argmax()]) if len(often) and often.max() > SHARE * len(read) else 0.0
     if same:  # more often than any robot is so close to a wall
         columns.notes.append(f"{file.path.name}: inferred: {same:g} m, {often.max()} times, stands for no return")
-    known, unit = dict[str, float](), 1.0
+    inferred = scanner is None and "range_max" not in numbers
+    known, unit = {"range_max": reach} if inferred else {}, 1.0
     for k, (row, line) in enumerate(zip(file.rows, file.line.tolist(), strict=True)):
-        fields = [row[j] or "nan" for j in beams] if listed is None else row[listed].strip("()[] ").split(",")
+        fields = [f or "nan" * (listed is None) for f in fields_of(row)]
         if (slots != range(len(slots))).any():
             each = dict(zip(slots.tolist()[::-1], fields[::-1], strict=True))  # of beams at one angle the first
             fields = [each.get(slot, "nan") for slot in range(max(each) + 1)]
@@ -106,11 +112,13 @@ def read_scans(
         if missing := [name for name in STATED if name not in own]:
             what = f"{file.path.name} names no {', '.join(missing)}"
             raise UsageError(f"--scanner LOW,STEP,MAX, as in -90deg,0.5deg,8m, is needed: {what}")
+        if k == 0 and inferred:
+            columns.notes.append(f"{file.path.name}: inferred: reach {reach:g} m, the farthest reading")
         own.setdefault("angle_max", own["angle_min"] + last * own["angle_increment"])
         if k == 0 and not given and TURNS[0] < last * abs(own["angle_increment"]) < TURNS[1]:
             unit = ANGLE["deg"]
             columns.notes.append(f"{file.path.name}: inferred: angles of beams in deg, as in rad they pass two turns")
-        ranges = [columns.units.factor("scans", "range") * float(f) for f in fields]
+        ranges = [metre * float(f) for f in fields]
         angles = {name: unit * own[name] for name in GEOMETRY[:3]}
         message = SimpleNamespace(header=header, ranges=ranges, **own | angles)
         found.scans.add(message, float(stamp[k]), f"{file.path}:{line}")
@@ -125,7 +133,7 @@ def read_scans(
 
 
 def wide_in(file: TextTable, *, stated: bool) -> list[str]:
-    """First and last name of the only `BEAMS` numbered columns, which their names tell where no scanner is `stated`."""
+    """First and last name of the only columns of a scan; without a `stated` scanner their names tell that they are."""
     runs = [names for _, run in groupby(file.names, key=stem_of) if len(names := list(run)) >= BEAMS and file.named]
     words = [{*words_of(stem_of(names[0]))[0]} for names in runs]
     fits = [bool(of & SCANNED) or (stated and not of & {"cov", "covariance"}) for of in words]
@@ -136,44 +144,56 @@ def wide_in(file: TextTable, *, stated: bool) -> list[str]:
 SCANNED = frozenset(("range", "ranges", "scan", "scans", "laser", "lidar", "beam", "beams", "ray", "rays", "d", "dist"))
 
 
-def folded_up(file: TextTable) -> TextTable | None:
-    """A table with a row for each beam, its angle and its range, as one with a row for each scan, at the middle step
-    between the angles; scans change with a stamp or number, or where angles begin anew. None of any other table.
+def folded_up(file: TextTable, columns: Columns) -> TextTable | None:
+    """A table with a row for each beam as one with a row for each scan, of equal angles, the middle step apart; scans
+    change with a stamp or number, or where angles begin anew. None of a table without angles and ranges.
     """
     words = [{*words_of(name)[0]} for name in file.names] if file.named else []
     at, far = ([k for k, of in enumerate(words) if of & known] for known in (ANGLES, FAR))
+    if columns.stated("scans", ("bearing",)) and columns.stated("scans", ("range",)):
+        at, far = ([columns.find(file, "scans", q) or 0] for q in ("bearing", "range"))
     if len(at) != 1 or len(far) != 1 or not all(is_number(row[k]) for row in file.rows for k in (*at, *far)):
         return None
     angle, distance = (np.array([row[k] for row in file.rows], float) for (k,) in (at, far))
     key = next((k for k, of in enumerate(words) if of & {*STAMP, "scan", "frame", "revolution"}), at[0])
-    anew = np.array([a[key] != b[key] for a, b in pairwise([file.rows[-1], *file.rows])])
-    if key == at[0] or len(file) < BEAMS * anew.sum():
-        anew = np.diff(angle, prepend=np.inf) < 0.0
-    anew[0] = True
-    first = np.flatnonzero(anew)
-    of, count = np.cumsum(anew) - 1, np.diff(first, append=len(angle))
+    turn = np.cumsum([a[key] != b[key] for a, b in pairwise([file.rows[0], *file.rows])])
+    if key == at[0] or len(file) < BEAMS * turn[-1]:
+        leap = np.diff(angle, prepend=angle[0])
+        turn = np.cumsum(-np.sign(leap) * (np.abs(leap) > 0.5 * np.ptp(angle)))  # back where rows are out of order
+        turn = turn * np.sign(turn[-1])
+    _, first, of, count = np.unique(turn, return_index=True, return_inverse=True, return_counts=True)
     step = float(np.median(np.abs(np.diff(angle))))
     if len(first) < 2 or np.median(count) < BEAMS or not 0.0 < np.ptp(angle) <= MOST * step:  # or blank
         return None
-    place = np.rint((angle - angle.min()) / step).astype(int)
-    ranges = np.full((len(first), place.max() + 1), np.nan)
-    ranges[of, place] = distance
     unit = words_of(file.names[at[0]])[1] or ("deg" if float(np.ptp(angle)) > TURNS[0] else "rad")
-    reach = 1.001 * float(distance[np.isfinite(distance)].max(initial=0.0))
-    known = {f"angle_min_{unit}": angle.min(), f"angle_increment_{unit}": step, "range_max": reach}
+    stated = columns.units.unit("scans", "bearing") or columns.units.given.get("angle")
+    si = columns.units.factor("scans", "bearing") if stated else ANGLE[unit]
+    step, angle = step * abs(si), angle * si
+    grid = np.arange(angle.min(), angle.max() + 0.5 * step, step)
+    ranges = np.zeros((len(first), len(grid)))
+    for k, own in enumerate(np.split(np.lexsort((angle, of)), np.cumsum(count)[:-1])):
+        place = np.interp(grid, angle[own], np.arange(len(own)))
+        near = np.abs(angle[own][np.rint(place).astype(int)] - grid) < NEAR * step
+        ranges[k] = np.where(near, resampled(distance[own], place), np.nan)
     rest = [k for k in range(len(file.names)) if k not in (*at, *far)]
+    known = {"angle_min": angle.min(), "angle_increment": step}
     names = (*(file.names[k] for k in rest), *known, *map("range_{}".format, range(len(ranges.T))))
     before = ((*(file.rows[k][j] for j in rest), *(repr(float(v)) for v in known.values())) for k in first.tolist())
     rows = tuple((*own, *map(repr, row)) for own, row in zip(before, ranges.tolist(), strict=True))
-    cut = f"inferred: {len(rows)} scans, a row for each beam, in steps of {step:.4g} {unit}"
-    return replace(file, names=names, rows=rows, line=file.line[first], cut=cut)
+    columns.given = {key: name for key, name in columns.given.items() if key not in ("scans.bearing", "scans.range")}
+    echoes = int(np.sum(np.isfinite(distance) & (distance > 0.0)))
+    cut = f"inferred: {len(rows)} scans, a row for each beam, in steps of {math.degrees(step):.4g} deg; {echoes} echoes"
+    cut += f", {len(file) - echoes} rows without one"
+    cut += "; angles count anticlockwise (--unit scans.bearing=-deg: clockwise)" * (not stated)
+    return replace(file, names=names, rows=rows, line=file.line[first], named=True, cut=cut)
 
 
 FAR, MOST = frozenset(("range", "distance", "dist")), 4000  # Words of a range; most beams of a scan
+NEAR = 0.75  # Steps from a beam within which its range is measured
 
 
-def _listed_angles(file: TextTable, beams: Sequence[int], columns: Columns) -> Array | None:
-    """Angles of all beams, of the only array of angles that has as many numbers, and the farthest range; else None."""
+def _listed_angles(file: TextTable, beams: Sequence[int], columns: Columns, reach: float) -> Array | None:
+    """Angles of all beams, of the only array of angles that has as many numbers, and the reach; else None."""
     found = []
     for k, name in enumerate(file.names):
         fields = [row[k] for row in file.rows if row[k]]
@@ -184,13 +204,9 @@ def _listed_angles(file: TextTable, beams: Sequence[int], columns: Columns) -> A
         return None
     name, angles = found[0]
     deg = words_of(name)[1] == "deg" or float(np.ptp(angles)) > TURNS[0]
-    ranges = np.array([row[j] for row in file.rows for j in beams if is_number(row[j])], float)
-    farthest = float(ranges[np.isfinite(ranges)].max(initial=0.0))  # where several have it, what stands for no return
-    reach = columns.units.factor("scans", "range") * farthest * (1.0 if np.sum(ranges == farthest) > 2 else 1.001)
     columns.read.add((file.path, name))
-    columns.notes.append(
-        f"{file.path.name}: inferred: {name} are the angles of beams{', in deg' * deg}; reach {reach:g} m"
-    )
+    what = f"{name} are the angles of beams{', in deg' * deg}; reach {reach:g} m"
+    columns.notes.append(f"{file.path.name}: inferred: {what}")
     return np.append(angles * (ANGLE["deg"] if deg else 1.0), reach)
 
 
@@ -235,7 +251,7 @@ def _folded(file: TextTable, beam: int, columns: Columns, odometry: Odometry) ->
     each, rest = divmod(count, max(len(stamp), 1))
     if rest or uneven or each < 2:
         told = f"{count} ranges in one column and {len(stamp)} {what}: how many are a scan? As many for each are needed"
-        raise DataError.at(file.path, f"{told}, or a column for each beam; ranges to landmarks are --observations")
+        raise DataError.at(file.path, f"{told}, {OTHERWISE}; ranges to landmarks are --observations")
     columns.notes.append(f"{file.path.name}: inferred: scans of {each} beams, {count} ranges for {len(stamp)} {what}")
     names = (*file.names, *(f"{file.names[beam]} {k}" for k in range(2, each + 1)))
     rows = tuple((*file.rows[k], *(r[beam] for r in file.rows[k + 1 : k + each])) for k in range(0, count, each))
@@ -257,5 +273,6 @@ def _alone(file: TextTable, rows: int) -> tuple[int, dict[str, str]] | None:
     return (int(before), {"scans.t": "1"} if stamped else {}) if fine and (stamped or len(values) == rows) else None
 
 
+OTHERWISE = "a column for each beam, or the angle of each range (--columns scans.bearing=NAME)"
 ALIKE_ENDS = 2.0  # Times as far apart as other neighbours the first and the last may be: walls ahead, seen obliquely
 FEWEST = 8  # Least steps forward that no ranges make; columns at both ends that are compared with the others

@@ -217,7 +217,7 @@ def test_the_list_says_what_each_topic_becomes_and_writes_nothing(maker, tmp_pat
     assert main(["bag", str(bag), "--list"]) == 0  # which odometry is not said: both are listed
     assert "odometry (if --odom /visual_odom)" in capsys.readouterr().out
     assert said == {
-        "/cmd_vel": "- (messages of this type are not read)",
+        "/cmd_vel": "- (a table: slamref convert table BAG:/TOPIC LOG)",
         "/cones": "observations: points",
         "/gps": "position fixes",
         "/mocap": "- (--truth /mocap makes it the truth)",
@@ -265,8 +265,11 @@ def test_one_line_says_what_is_wrong(maker, convert, tmp_path, add, words, said)
 
 @pytest.mark.parametrize(("kind", "names"), [(POINT, "v=x,omega=y"), (JOINTS, "v=velocity_1,omega=velocity_2")])
 def test_numbers_of_a_topic_are_a_table(maker, convert, tmp_path, kind, names):
-    """Of any type, of joints also where the bag does not define it; the same bag's odometry is the truth."""
+    """Of any type, of joints also undefined in the bag, whose odometry is the truth; topics of a number are joined."""
     for t in TIMES:
+        maker._send(t + 0.01, "/right", "std_msgs/msg/Float64", data=0.6)
+        maker._send(t, "/left", "std_msgs/msg/Float64", data=0.4)
+        maker.scan(t, np.linspace(t, t + 1.0, 101), angle_increment=0.01)
         maker._send(
             t, "/wheels", kind, **{"velocity": np.array([0.5, 0.2])} if kind == JOINTS else {"x": 0.5, "y": 0.2}
         )
@@ -290,6 +293,11 @@ def test_numbers_of_a_topic_are_a_table(maker, convert, tmp_path, kind, names):
         se2.along_arcs(np.array([0.5 * step]), np.array([0.2 * step]))[0]
     )
     assert np.isfinite(log.truth.pose[:, :2]).all()
+    wheels = ("--ticks", "rate", "--metres-per-tick", "1", "--track-width", "1", "--scans", f"{bag}:/scan")
+    joined, _ = convert({}, "table", f"{bag}:/left+{f'{bag}:' * (kind == JOINTS)}/right", "out", *wheels)
+    assert joined.recorded.increments.mean[1] == pytest.approx(log.recorded.increments.mean[1])
+    assert joined.recorded.scans.ranges[:, 100] == pytest.approx(TIMES + 1.0)
+    assert f"slamref convert table {bag}:/TOPIC" in convert({}, "table", str(bag), "out", status=2)
     assert "no topic /none; it has " in convert({}, "table", f"{bag}:/none", "out", status=2)
 
 

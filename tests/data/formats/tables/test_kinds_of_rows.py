@@ -71,19 +71,8 @@ ODOMETRY = "%time,field.header.stamp,field.x,field.y,field.theta\n" + "".join(
 
 
 @pytest.mark.parametrize("named", [True, False])
-@pytest.mark.parametrize("often", [True, False])
-def test_a_tiny_range_that_comes_often_stands_for_no_return(read, often, named):
-    """Also where the file states that the least range is 0 m."""
-    far = scans(named=named).replace(",0.1,20.0", ",0.0,20.0").replace("5.0,", "0.01,", 40 if often else 1)
-    words = ("--scanner=-180deg,10deg,20", "--columns=scans.t=37,scans.range=1", "--unit=scans.t=ns") * (not named)
-    log, said = read({"odo.csv": ODOMETRY, "scan.csv": far}, "--scans", "scan.csv", *words)
-    assert ("0.01 m, 40 times, stands for no return" in said) == often
-    assert (log.recorded.scans.ranges == 0.01).sum() == (not often)
-
-
-@pytest.mark.parametrize("named", [True, False])
 def test_scans_of_a_table_are_those_of_a_laser_log(read, named):
-    """As rostopic echo -p writes them, or without names."""
+    """As rostopic echo -p writes them, or without names; a tiny range that comes often stands for no return."""
     words = ("--scanner=-180deg,10deg,20", "--columns=scans.t=37,scans.range=1", "--unit=scans.t=ns") * (not named)
     log, _ = read({"odo.csv": ODOMETRY, "scan.csv": scans(named)}, "--scans", "scan.csv", *words)
     r = log.recorded
@@ -92,20 +81,30 @@ def test_scans_of_a_table_are_those_of_a_laser_log(read, named):
     assert np.diff(r.scans.ranges[:, 18]) == pytest.approx(-0.2)
     assert r.increments.mean[r.scans.frame[1:], 0] == pytest.approx(0.2, abs=1e-6)
     assert (r.scans.scanner.max_range, r.scans.scanner.angle_step) == pytest.approx((20.0, STEP))
+    for often in (True, False):  # also where the file states that the least range is 0 m
+        far = scans(named=named).replace(",0.1,20.0", ",0.0,20.0").replace("5.0,", "0.01,", 40 if often else 1)
+        log, said = read({"odo.csv": ODOMETRY, "scan.csv": far}, "--scans", "scan.csv", *words)
+        assert ("0.01 m, 40 times, stands for no return" in said) == often
+        assert (log.recorded.scans.ranges == 0.01).sum() == (not often)
 
 
 @pytest.mark.parametrize(("names", "numbers"), [
     (("min_angle", "laserAngleMax", "max_range [cm]"), (-np.pi, np.pi - STEP, 2000)),
     (("scan.angle_start", "angular_resolution", "range_max"), (-180, 10, 20)),
     (("angle_min_deg", "angle_inc_deg", "rangeMax"), (-180, 10, 20)),
+    (("angle_min", "angle_increment"), (np.pi, -STEP)),
 ])  # fmt: skip
 def test_names_units_and_keys_of_a_scanner(read, names, numbers):
+    """Of JSON, whatever its name; a reach that it does not state is that of the farthest reading."""
+    path, stated = "scan.json" if "rangeMax" in names else "scan.txt", len(names) > 2
+    expected = (-np.pi, STEP, 20.0) if stated else (np.pi, -STEP, 1.001 * (1.4 + 35 / 9))
     keys = dict(zip(names, numbers)) | {"t": [1.7e9 + k / 2 for k in range(9)]}
     keys["ranges"] = (1.0 + np.arange(9)[:, None] / 20 + np.arange(BEAMS) / 9).tolist()
-    log, said = read({"odo.csv": ODOMETRY, "scan.json": json.dumps(keys)}, "--scans", "scan.json")
+    log, said = read({"odo.csv": ODOMETRY, path: json.dumps(keys)}, "--scans", path)
     scanner = log.recorded.scans.scanner
     assert log.recorded.scans.ranges.shape == (9, BEAMS)
-    assert (scanner.angle_min, scanner.angle_step, scanner.max_range) == pytest.approx((-np.pi, STEP, 20.0))
+    assert (scanner.angle_min, scanner.angle_step, scanner.max_range) == pytest.approx(expected)
+    assert ("inferred: reach 5.29418 m, the farthest reading" in said) != stated
     assert ("inferred: angles of beams in deg" in said) == ("scan.angle_start" in names)
 
 
@@ -149,17 +148,30 @@ def test_scans_of_an_array_beside_the_odometry_have_the_angles_of_another(conver
     assert log.recorded.increments.covariance[1, 0, 0] > 0.001
 
 
-@pytest.mark.parametrize(("stamp", "title"), [("{k}", "time"), ("{k}.{i:03d}", "time"), ("{k}", "scan")])
+@pytest.mark.parametrize(("stamp", "title"), [("{k}", "time"), ("{k}.{i:03d}", "time"), ("{k}", "scan"), ("{k}", "")])
 def test_a_row_for_each_beam_is_folded_into_scans(read, stamp, title):
-    """Of a stamp or number for each scan or each beam, some of which return nothing; without an odometry."""
-    far = 1.0 + np.arange(800.0).reshape(20, 40) / 200.0
-    rows = [f"{stamp.format(k=k, i=i)},{9 * i},{1000 * far[k, i]}" for k in range(20) for i in range(40) if (i + k) % 7]
-    log, said = read({"beams.csv": f"{title},angle_deg,distance_mm\n" + "\n".join(rows)}, "--unit", "scans.range=mm")
+    """Of a stamp or number for each scan or beam; or without names, clockwise, some without return or out of order."""
+    far, there = 1.0 + np.arange(800.0).reshape(20, 40) / 200.0, (np.arange(40) + np.arange(20)[:, None]) % 7 > 0
+    each = [(k, i) for k in range(20) for i in range(40) if there[k, i] or not title]
+    rows = [f"{stamp.format(k=k, i=i)},{9 * i},{1000 * far[k, i] * there[k, i]}" for k, i in each]
+    header, words = f"{title},angle_deg,distance_mm\n", ("--unit", "scans.range=mm")
+    if not title:
+        rows[119], rows[120] = (f"{k},{row.partition(',')[2]}" for k, row in ((2.5, rows[120]), (2.7, rows[119])))
+        words = ("--unit", "scans.range=mm,angle=-deg", "--columns", "scans.t=1,scans.angle=2,scans.range=3")
+        header, far, there = "", far[:, ::-1], there[:, ::-1]
+    log, said = read({"beams.csv": header + "\n".join(rows)}, *words)
     found = log.recorded.scans
     assert found.ranges.shape == (20, 40)
-    assert found.ranges[found.ranges > 0.0] == pytest.approx(far[(np.arange(40) + np.arange(20)[:, None]) % 7 > 0])
-    assert (found.scanner.angle_min, found.scanner.angle_step) == pytest.approx((0.0, np.radians(9.0)))
-    assert "20 scans, a row for each beam, in steps of 9 deg" in said
+    assert found.ranges[found.ranges > 0.0] == pytest.approx(far[there])
+    assert np.degrees([found.scanner.angle_min, found.scanner.angle_step]) == pytest.approx([-351.0 * (not title), 9.0])
+    lost = 0 if title else 114
+    assert f"20 scans, a row for each beam, in steps of 9 deg; 686 echoes, {lost} rows without one" in said
+    assert ("angles count anticlockwise" in said) == bool(title)
+
+
+def test_poses_beside_a_distance_are_no_beams(read):
+    rows = "".join(f"{k},{np.sin(k / 30)},{-np.cos(k / 30)},{k / 30 % 6.28},{k / 30}\n" for k in range(999))
+    assert read({"a.csv": "t,x,y,theta,distance\n" + rows})[0].recorded.scans is None
 
 
 def test_scans_beyond_the_odometry_are_left_out_and_said_and_their_stamps_are_used(read):
@@ -187,7 +199,6 @@ def test_bars_titles_and_words_for_nothing_are_read(read):
 
 @pytest.mark.parametrize(("text", "words", "wanted"), [
     ("t,a,b\n0,1,2\n1,1,2\n", (), "columns such as range0, range1 are needed"),
-    ("t,range0,range1\n0,1,2\n1,1,2\n", (), "--scanner LOW,STEP,MAX"),
     ("t,range0,range1\n0,1,two\n1,1,2\n", ("--scanner", "0,1deg,9"), "'two' is not a number"),
 ])  # fmt: skip
 def test_what_is_no_scan_is_refused(unread, text, words, wanted):
@@ -229,19 +240,6 @@ def test_a_truth_of_places_tells_the_heading_at_the_start(read):
     prior = read(files, "--truth", "truth.csv")[0].recorded.prior
     off = abs(prior.mean[2] - np.arctan2(0.8, -0.6))
     assert np.radians(10.0) < off < 2.0 * np.sqrt(prior.covariance[2, 2])
-
-
-@pytest.mark.parametrize("suffix", ["mat", "npz"])
-def test_scans_and_poses_of_arrays(convert, tmp_path, suffix):
-    """Without stamps, a scan for each pose; the ranges are the columns of one matrix."""
-    pose = np.column_stack([0.2 * np.arange(20), np.zeros((20, 2))])
-    far = np.array([[float(f) for f in row.split(",")[:-1]] for row in scans(named=False).splitlines()])
-    save = {"mat": savemat, "npz": lambda f, v: np.savez(f, **v)}[suffix]
-    save(tmp_path / f"a.{suffix}", {"X": pose, "Z": far, "angles": np.zeros(BEAMS)})
-    columns = ("--columns", "x=X_1,y=X_2,theta=X_3,scans.range=Z_1", "--scanner", "-180deg,10deg,20")
-    log, _ = convert({}, "table", f"a.{suffix}", "out", "--scans", f"a.{suffix}", *columns)
-    assert log.recorded.scans.ranges == pytest.approx(far)
-    assert log.recorded.increments.mean[1:, 0] == pytest.approx(0.2)
 
 
 def test_ranges_in_one_column_are_as_many_for_each_pose_and_the_scanner_has_a_place(convert, read, unread, tmp_path):
@@ -330,16 +328,10 @@ def test_observations_within_a_field(read, form):
     assert log.recorded.observations.frame == pytest.approx(np.repeat(range(30), [0, 1, 2] * 10))
 
 
-@pytest.mark.parametrize("form", ["a list", "a matrix", "its transpose"])
-def test_scans_within_a_field_or_a_matrix(convert, tmp_path, form):
+def test_scans_within_a_field(read):
     far = np.linspace(1.0, 5.0, 40 * 36).reshape(40, 36)
-    steps = np.column_stack([0.1 * np.arange(40), 0.05 * np.arange(40), np.zeros((40, 2))])
-    text = "t,x,y,theta,ranges\n" + "".join(f'{a},{b},0,0,"{z.tolist()}"\n' for (a, b, *_), z in zip(steps, far))
-    named = ("--columns", "x=p_1,y=p_2,theta=p_3,scans.range=z") if form != "a list" else ()
-    file = "a.csv" if form == "a list" else "a.mat"
-    arrays = {"t": steps[:, 0], "p": steps[:, 1:], "z": far}
-    savemat(tmp_path / "a.mat", {n: a.T for n, a in arrays.items()} if form == "its transpose" else arrays)
-    log, _ = convert({"a.csv": text}, "table", file, "out", "--scans", file, "--scanner=-180deg,10deg,8m", *named)
+    rows = [f'{0.1 * k},{0.05 * k},0,0,"{z.tolist()}"\n' for k, z in enumerate(far)]
+    log, _ = read({"a.csv": "".join(["t,x,y,theta,ranges\n", *rows])}, "--scans", "a.csv", "--scanner=-180deg,10deg,8m")
     assert log.recorded.scans.ranges == pytest.approx(far)
 
 
