@@ -66,8 +66,7 @@ def rigid_fit(points: Array, onto: Array, *, scaled: bool) -> tuple[float, Array
     R = U @ np.diag(sign) @ Vt
     spread = float(np.mean(np.sum((points - a) ** 2, axis=1)))
     s = float(d @ sign) / spread if scaled and spread > 0.0 else 1.0
-    rank = int((d > 1e-9 * max(float(d[0]), 1e-300)).sum()) if d[0] > 0.0 else 0
-    return s, R, b - s * R @ a, rank
+    return s, R, b - s * R @ a, (int((d > 1e-9 * max(float(d[0]), 1e-300)).sum()) if d[0] > 0.0 else 0)
 
 
 def about_axis(axis: Array, of: Array, onto: Array) -> Array:

@@ -138,7 +138,6 @@ class Problem:
     def loosened(self, share: float) -> "Problem":
         """The same with increments whose positions are no better than to a `share` of the worst sigma."""
         covariance = self.motion.increments.covariance.copy()
-        worst = np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1]
-        covariance[:, :2, :2] += share**2 * worst[:, None, None] * np.eye(2)
+        covariance[:, :2, :2] += share**2 * np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1][:, None, None] * np.eye(2)
         increments = replace(self.motion.increments, covariance=covariance)
         return replace(self, motion=replace(self.motion, increments=increments))

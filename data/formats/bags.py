@@ -460,8 +460,7 @@ def scans_of(
     angles, g = np.array(read.angles), read.geometry
     ranges, low, step, resampled = on_one_set(read.ranges, angles[:, 0], angles[:, 1])
     scanner, notes = _scanner(path, found, robot, low, step)
-    assumed = ("odometry_noise", "range_noise", *([] if notes else ["sensor_pose"]))
-    origins = dict.fromkeys(assumed, Origin.ASSUMED)
+    origins = dict.fromkeys(("odometry_noise", "range_noise", *([] if notes else ["sensor_pose"])), Origin.ASSUMED)
     measured = mending.ranges(np.where(np.isfinite(ranges), ranges, 0.0))
     require_metres(path, measured)
     beams = measured.shape[1]
@@ -960,8 +959,7 @@ def _prior(wanted: Wanted, first: Array, true: Array | None, fixed: Sequence[_Fi
         raise UsageError("the first heading in the frame of the fixes is unknown; --prior X,Y,THETA and --prior-sigma "
                          "SX,SY,STHETA are needed")  # fmt: skip
     theta = float(turn.z[0, 2]) - turn.source.rotation
-    arm = se2.rotation(theta) @ np.array(place.source.lever)
-    mean = np.array([*(place.z[0, :2] - arm), theta])
+    mean = np.array([*(place.z[0, :2] - (se2.rotation(theta) @ np.array(place.source.lever))), theta])
     P = np.zeros((3, 3))
     P[:2, :2], P[2, 2] = place.covariance[0, :2, :2], turn.covariance[0, 2, 2]
     late = max(place.at[0], turn.at[0]) - t0

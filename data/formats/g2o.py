@@ -234,8 +234,7 @@ def _fixes(graph: Graph, ids: IntArray) -> Fixes | None:
     source = np.repeat([0, 1], [n, len(position)])
     kind = np.array([FixKind.POSE, FixKind.POSITION], np.int64)[source]
     order = np.argsort(frame, kind="stable")
-    sources = (FixSource(PRIOR), FixSource(POSITION))
-    return Fixes(frame[order], kind[order], source[order], z[order], P[order], sources)
+    return Fixes(frame[order], kind[order], source[order], z[order], P[order], (FixSource(PRIOR), FixSource(POSITION)))
 
 
 def _chain(graph: Graph, ids: IntArray) -> tuple[Array, Array, IntArray]:

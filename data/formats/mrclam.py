@@ -211,8 +211,7 @@ def parse(path: str, content: bytes, columns: tuple[str, ...]) -> Table:
             what = f"{len(row)} fields where {len(columns)} are needed ({', '.join(columns)}){last}"
             raise DataError.at(path, what, line=i + 1)
     line = np.array(data, np.int64) + 1
-    values = number_rows(path, line.tolist(), rows, columns)
-    table = Table(path, dict(zip(columns, values.T, strict=True)), line=line)
+    table = Table(path, dict(zip(columns, number_rows(path, line.tolist(), rows, columns).T, strict=True)), line=line)
     table.require_finite(columns)
     decimals = [len(row[-1].partition(b".")[2]) for row in rows]
     if lines[-1].strip() and len(rows) > 1 and decimals[-1] < min(decimals[:-1]):

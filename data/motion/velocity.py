@@ -242,8 +242,7 @@ def gaps_said(time: Array, at: Array) -> str:
 
 def told(time: Array) -> tuple[float, float]:
     """First and last instant [s] whose motion samples at `time` (K,) tell; the last holds for the median interval."""
-    usual = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
-    return float(time[0]), float(time[-1]) + usual
+    return float(time[0]), float(time[-1]) + (float(np.median(np.diff(time))) if len(time) > 1 else 0.0)
 
 
 def floor_covariances(covariance: Array, floor: float) -> tuple[Array, int]:

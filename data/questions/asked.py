@@ -160,8 +160,7 @@ def explained(inputs: Inputs) -> BoolArray:
         if inputs.map.sigma is not None:
             S = S + (Hl * inputs.map.sigma[:, None, :] ** 2) @ Hl.transpose(0, 2, 1)
         nu = inputs.sensor.residual(seen.z[:, None], z_hat[None])
-        d2 = np.einsum("mli,mli->ml", nu, np.linalg.solve(S, nu[..., None])[..., 0])
-        hits += (d2.min(axis=1) < GATE).tolist()
+        hits += (np.einsum("mli,mli->ml", nu, np.linalg.solve(S, nu[..., None])[..., 0]).min(axis=1) < GATE).tolist()
         if len(hits) >= FIRST:
             break
     return np.array(hits[:FIRST], bool)

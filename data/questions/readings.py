@@ -195,8 +195,7 @@ def _from_places(c: Case) -> Case:
     path = c.seen_from or c.along
     if path is None or not c.cartesian:
         return c
-    xy = c.z[:, :1] * np.stack([np.cos(c.z[:, 1]), np.sin(c.z[:, 1])], axis=1)
-    x, y = transform_points(inverse(path[0]), xy).T
+    x, y = transform_points(inverse(path[0]), (c.z[:, :1] * np.stack([np.cos(c.z[:, 1]), np.sin(c.z[:, 1])], axis=1))).T
     return replace(c, z=np.stack([np.hypot(x, y), np.arctan2(y, x)], axis=1))
 
 

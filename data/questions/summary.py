@@ -65,8 +65,7 @@ def _measured(log: Log, outside: IntArray) -> list[tuple[Sensor, Array, int]]:
     for i, sensor in enumerate(inputs.sensors or (inputs.sensor,)):
         rows = np.arange(len(o.z)) if o.sensor is None else np.flatnonzero(o.sensor == i)
         if len(rows):
-            polar = sensor.polar(o.z[rows]) * [1.0, 180.0 / np.pi]
-            found.append((sensor, polar, int(np.isin(rows, outside).sum())))
+            found.append((sensor, (sensor.polar(o.z[rows]) * [1.0, 180.0 / np.pi]), int(np.isin(rows, outside).sum())))
     return found
 
 

@@ -60,8 +60,7 @@ class Circle:
 
     def __post_init__(self) -> None:
         positive = ("frames", "period", "speed", "turn_rate", "sigma_point", "landmarks", "max_range")
-        signed = ("ring", "centre_x", "centre_y")
-        check_parameters("circle", self, positive=positive, signed=signed, choices=_CHOICES)
+        check_parameters("circle", self, positive=positive, signed=("ring", "centre_x", "centre_y"), choices=_CHOICES)
         if not self.min_range < self.max_range:
             ranges = f"min_range = {self.min_range}, max_range = {self.max_range}"
             raise UsageError(f"circle: {ranges}; min_range < max_range is needed")

@@ -228,8 +228,7 @@ def anees_figure(
         style, first = house.style_of(name), few * i // len(average)
         mean, known = mean_or_nan(values), values[np.isfinite(values)]
         outside = float(np.mean((known < lower) | (known > upper))) if len(known) else np.nan
-        measured = f": mean {number(mean)}, {100.0 * outside:.0f} % outside" if len(known) else ""
-        label = style.label + measured
+        label = style.label + (f": mean {number(mean)}, {100.0 * outside:.0f} % outside" if len(known) else "")
         handles += ax.plot(time, values, markevery=(first, few), markersize=3.0, label=label, zorder=2, **style.look)
     _scale([ax], list(average.values()), lower, upper)
     ax.set(ylabel="average pose NEES [–]", xlabel="frame" if time_is_index else "time [s]")

@@ -345,8 +345,7 @@ def compared_of(
         paths = [run.trajectory(phase).pose for run, phase in ends if run is not None and run.failure is None]
         apart = rms(position_distance(paths[0], paths[1])) if len(paths) == 2 else math.nan
     aligned = each("aligned")
-    in_frame = trial.task == "slam" and not related and all(map(math.isfinite, aligned))
-    fair = aligned if in_frame else errors
+    fair = aligned if (trial.task == "slam" and not related and all(map(math.isfinite, aligned))) else errors
     difference = None if both is None else difference_of(differences, *both)
     online = Online.UNKNOWN
     if newest is not None and not related and math.isfinite(newest.rmse):

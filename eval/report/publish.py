@@ -66,8 +66,7 @@ def publish(
         seen = any(h.recorded is log.recorded or (h.evidence is not None and h.evidence is log.evidence) for h in hosts)
         drawn = not (output.no_plots or seen)
         wanted = (*output.show, "dead-reckoning")
-        kept = tuple(r for r in trial.runs if r.estimator in wanted)
-        shown = replace(trial, runs=kept) if output.show else trial
+        shown = replace(trial, runs=tuple(r for r in trial.runs if r.estimator in wanted)) if output.show else trial
         there = kinds(shown, others, quick=output.quick) if drawn else ()
         for place, kind in enumerate(k for k in there if not output.figures or k in output.figures):
             jobs.append(Job((i, place), draw, (folder, shown, kind, others), DRAWING))

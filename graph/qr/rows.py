@@ -170,9 +170,7 @@ class Linearizer:
         return self._first[1]
 
     def _first_by(self, errors: Array, pose: Array) -> tuple[Array, Array]:
-        """Jacobians (3, 3) and (3, q) of the first pose's tangent coordinates in the frame, to those of the robot's
-        pose and to the constant errors in sigmas, at errors (p,) and a pose (3,) in the frame.
-        """
+        """Jacobians (3, 3), (3, q) of the first pose's tangent to the robot's pose and to constant errors in sigmas."""
         of, sigma, frame = self._motion, self._motion.sigma, self._motion.frame
         by_constants, size, bearing = np.zeros((3, len(of.constant))), 1.0, 0.0
         if frame.same:

@@ -211,8 +211,7 @@ class TeamFilter:
         if self.gates.method == "known":
             decisions = np.where(np.isin(s.label[seen], number), s.label[seen], DISCARD)
             rows, chosen = expected.paired(decisions)
-            far = expected.individual_distances()[rows, chosen] > self.gates.threshold
-            decisions[rows[far]] = DISCARD
+            decisions[rows[(expected.individual_distances()[rows, chosen] > self.gates.threshold)]] = DISCARD
         else:
             decisions = decide(self.gates.method, expected, self.gates.gate, None, known_map=True).decisions
         track.sighted[which] = decisions

@@ -389,9 +389,7 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
 
 
 def _require_one(body: Text, names: Sequence[str], value: dict[str, Array]) -> None:
-    """Raise DataError where a column tells paths apart whose rows alternate: what it holds changes at each of equal
-    stamps of other places, or often, and the path goes far then.
-    """
+    """Raise DataError where a column tells paths apart whose rows alternate: at equal stamps, or far and often."""
     place = np.nan_to_num(value["x"] + 1j * value["y"])
     step = np.abs(np.diff(place))
     same = (np.diff(value["t"]) == 0.0) & (step > 0.0)
@@ -513,8 +511,7 @@ def _spatial(
     if "qw" in value or "yaw" in columns.unit or manner.angles is not None:
         return path
     finite = np.flatnonzero(np.isfinite(pose).all(axis=1))
-    rows_kept = finite[np.searchsorted(time[finite], path.time, side="right") - 1]
-    return replace(path, headings=value["yaw"][rows_kept])
+    return replace(path, headings=value["yaw"][finite[np.searchsorted(time[finite], path.time, side="right") - 1]])
 
 
 def _planar(

@@ -290,8 +290,7 @@ def path_of(texts: Mapping[str, TextTable], columns: Columns, kind: str) -> tupl
     if not odometry.velocities:
         return odometry.time, odometry.motion
     way, turn = odometry.motion[:-1].T * np.diff(odometry.time)
-    steps = np.concatenate([np.zeros((1, 3)), se2.along_arcs(way, turn)])
-    return odometry.time, se2.dead_reckoned(np.zeros(3), steps)
+    return odometry.time, se2.dead_reckoned(np.zeros(3), np.concatenate([np.zeros((1, 3)), se2.along_arcs(way, turn)]))
 
 
 def _intervals(file: TextTable, columns: Columns, role: str) -> None:

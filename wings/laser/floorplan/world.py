@@ -478,9 +478,7 @@ NOTHING = -1  # Index of a beam without a hit
 def _cast(
     poses: Array, angle_min: float, angle_step: float, walls: Array, discs: Array, ranges: Array, hit: IntArray
 ) -> None:
-    """Fill ranges (S, B) [m], inf without a hit, and hit (S, B): the segment's row, len(walls) for a disc. Each segment
-    is tested against the beams between the bearings of its ends, and one more on either side.
-    """
+    """Fill ranges (S, B) [m], inf: none, and hit (S, B): the segment's row, or len(walls) for a disc."""
     beams = ranges.shape[1]
     dx, dy = np.empty(beams), np.empty(beams)
     for k in range(len(poses)):

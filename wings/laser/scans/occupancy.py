@@ -52,9 +52,7 @@ class Grid:
 
 @njit
 def _add_scans(origins: Array, ends: Array, returned: BoolArray, log_odds: Array, touched: NDArray[np.int32]) -> None:
-    """Add scans to log_odds (H, W), in cells: origins (K, 2), ends (K, B, 2), returned (K, B) (else nothing is told).
-    `touched` (H, W): 3 k + change by scan k, so a cell changes once per scan, and one with an end is not free.
-    """
+    """Add scans to log_odds (H, W): origins (K, 2), ends (K, B, 2), returned; `touched`: a cell changes once each."""
     for k in range(len(ends)):
         for b in range(ends.shape[1]):
             if returned[k, b]:
