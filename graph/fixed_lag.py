@@ -37,11 +37,8 @@ class FixedLagSmoother(Isam2Smoother):
         self, prior: Prior, sensor: Sensor, known: LandmarkMap | None = None, *, lag: float, slack: float = SLACK,
         threshold: float = THRESHOLD, skip: int = SKIP, systematic: Systematic | None = None,
     ) -> None:  # fmt: skip
-        """Start at the prior; with a map localize in it, without do SLAM.
-
-        A pose stays for at least `lag` >= 0 after its own time, and at most for (1 + `slack`) times that, at the next
-        observation. A slack of 0 marginalizes frame by frame: 1.5 times as slow on Victoria Park with a lag of 30
-        frames, three times with 100.
+        """Start at the prior; with a map localize in it, without do SLAM. A pose stays for at least `lag` >= 0 after
+        its own time, at most (1 + `slack`) times that; 0 marginalizes frame by frame, 1.5 to 3 times as slow.
         """
         if not lag >= 0.0 or not slack >= 0.0:
             raise ValueError(f"lag {lag} and slack {slack} must not be negative")
