@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -332,8 +332,7 @@ class Kalman:
         J[:, :3] = r.Gx(Gx)
         cross = J @ self.P
         own = cross @ J.T + Gz @ r.R_new(R) @ Gz.T
-        parts = {Bug.NEW_WITHOUT_CROSS: 0.0, Bug.NEW_HALF_CROSS: 0.5}
-        cross = cross * _of(r.mistakes, parts, 1.0)
+        cross = cross * _of(r.mistakes, {Bug.NEW_WITHOUT_CROSS: 0.0, Bug.NEW_HALF_CROSS: 0.5}, 1.0)
         if Bug.NEW_CROSS_TO_POSE_ONLY in r.mistakes:
             cross[:, 3:] = 0.0
         if not math.isnan(r.fixed):
@@ -633,15 +632,20 @@ def exact_states(world: str, task: str) -> tuple[Frames, list[State]]:
     return frames, states
 
 
+@lru_cache(maxsize=2048)
+def _numbers(world: str, task: str, rules: Rules) -> Array:
+    (frames, right), inputs = exact_states(world, task), inputs_of(world, task)
+    return numbers(states_of(frames, inputs, rules), right)
+
+
 @lru_cache(maxsize=8)
 def filters(world: str, task: str, rules: tuple[Rules, ...]) -> tuple[list[Rules], Array]:
     """The rules (b,) among these that make a difference, and the filter with each in `numbers` (b, n)."""
-    (frames, right), inputs, (weights, _) = exact_states(world, task), inputs_of(world, task), _layout(world, task)
-    found = [(r, numbers(states_of(frames, inputs, r), right)) for r in rules]
-    found = [(r, n) for r, n in found if _distance(n, weights) > 0.0]
+    found = [(r, n) for r in rules if _distance(n := _numbers(world, task, r), _layout(world, task)[0]) > 0.0]
     return [r for r, _ in found], np.array([n for _, n in found])
 
 
+@cache
 def both(first: Rules, then: Rules) -> Rules | None:
     """A filter with the mistakes of two, one after the other; None if they exclude each other."""
     own, more = ({n: v for n, v in vars(r).items() if v is not getattr(RIGHT, n)} for r in (first, then))
