@@ -160,8 +160,7 @@ def scores(s: Scored) -> dict[str, float]:
     row = metrics_row(s.run, s.phase, s.log, None)
     assert s.run.match is not None  # `runs_of` matched it
     pose, truth = s.run.trajectory(s.phase).pose, s.run.match.truth
-    d = errors.position_distance(pose, truth)
-    d = d[np.isfinite(d)]
+    d = (each := errors.position_distance(pose, truth))[np.isfinite(each)]
     row |= {"mean_position_m": float(d.mean()), "median_position_m": float(np.median(d))}
     row |= {"std_position_m": float(d.std()), "min_position_m": float(d.min())}
     row["rmse_heading_rad"] = math.radians(errors.heading_rmse_deg(pose, truth))
@@ -169,7 +168,8 @@ def scores(s: Scored) -> dict[str, float]:
     rest.insert(rest.index("rmse_heading_deg") + 1, "rmse_heading_rad")
     values = {name: row.get(name) for name in (*FIRST, *rest)}
     found = {name: float(v) for name, v in values.items() if isinstance(v, (int, float)) and math.isfinite(v)}
-    return found | (columns_in_space(s.run.space[s.phase]) if s.phase in s.run.space else {})
+    in_space = columns_in_space(s.run.space[s.phase]) if s.phase in s.run.space else {}
+    return found | {"end_position_m": float(d[-1])} | in_space
 
 
 TILTED, SCALED = 2.0, 0.2
