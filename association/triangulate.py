@@ -167,7 +167,7 @@ def misfit(s: Sights, place: Array) -> Array:
 
 
 def met(s: Sights) -> Array:
-    """Of places around some poses at their range, or along their ray, that of least misfit."""
+    """The place of least misfit, of those at the range of some poses or along their rays."""
     way = np.random.default_rng(0).normal(size=(AROUND, s.centre.shape[1]))
     way /= np.linalg.norm(way, axis=1)[:, None]
     along, place = np.geomspace(*REACH, AROUND) * (np.ptp(s.centre, axis=0).max() or 1.0), list[Array]()

@@ -326,7 +326,7 @@ def gnc(
 
 
 def _truncated(result: Smoothed, dims: Array, probability: float) -> Smoothed:
-    """With expected chi-square and NIS of believed measurements (k,), truncated at what others cost: the limit."""
+    """The result with the chi-square and NIS that are expected where those beyond a threshold are left out."""
     each = np.array([truncated_square(gate_threshold(probability, int(d)), int(d)) for d in dims]).reshape(-1, 2)
     mean, variance = (each.sum(axis=0) / max(int(dims.sum()), 1)).tolist()
     fixes, closures = (None if of is None else of._replace(gate=probability) for of in (result.fixes, result.closures))

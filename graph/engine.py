@@ -49,8 +49,8 @@ class Engine:
         self, threshold: float, skip: int, *, qr: bool, name: Callable[[int], str] = name_of,
         linear: Mapping[str, int] | None = None, walls: bool = False,
     ) -> None:  # fmt: skip
-        """`threshold` [m, rad]: variables that moved further are relinearized, each `skip`-th update, of 1 all, else
-        newest and those connected to one that moved. `name` names a key. `linear`: sizes of further variables
+        """`threshold` [m, rad]: variables that moved further are relinearized, every `skip`-th update: with 1 all, else
+        the newest and those connected to one that moved. `name` names a key. `linear`: sizes of further variables
         with almost linear factors, by the character of their keys. `walls`: the landmarks are estimated walls.
         """
         self.threshold, self.skip, self.qr, self.name = threshold, skip, qr, name

@@ -219,7 +219,7 @@ def optimize(
 
 
 def _descend(linearizer: Linearizer, values: gtsam.Values, *, enough: float = STEP) -> _Found:
-    """Gauss-Newton steps, shortened until the cost falls (extrapolated too), until one is short `enough`."""
+    """Gauss-Newton steps, each shortened until the cost falls, until one is short `enough` or none descends."""
     error, before, first = linearizer.cost(values), math.inf, 1.0
     rounding = ROUNDING * math.sqrt(3 * len(linearizer.structure.variable))
     past, extrapolates, drop = list[tuple[Array, Array]](), linearizer.extrapolates, 0.0

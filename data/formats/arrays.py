@@ -187,7 +187,7 @@ def columns_of(
 ) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
     """Names and rows: vectors as columns, blank below their ends: NAME, of a matrix NAME_1, NAME_2, ... (of a `WIDE`
     one its rows), of a struct STRUCT.FIELD, or FIELD of the only one, or of FILE:STRUCT; of structs and matrices in
-    arrays see `_listed`, of arrays of three dimensions `_solid`, beside an odometry of so many rows.
+    arrays see `_listed`, of three dimensions `_solid`, beside an odometry of so many rows. DataError: no numbers.
     """
     path, word = file_and_word(path)
     found = named(path)
@@ -254,7 +254,7 @@ def _unrolled(name: str, value: Any) -> Columns:
 
 
 def _solid(path: Path, name: str, value: Array, odometry: int, lengths: Collection[int]) -> Columns:
-    """NAME_1_1, ... of an array of three dimensions, and NAME.element; its rows are the odometry's, or most."""
+    """Columns NAME_1_1, ... and NAME.element of an array of three dimensions, one of which counts the rows."""
     longest = np.argmax(value.shape) if max(value.shape) >= LONG * sorted(value.shape)[1] else None
     counts = [(n == odometry, axis == longest, n in lengths) for axis, n in enumerate(value.shape)]
     along = next((axes.index(True) for axes in zip(*counts, strict=True) if axes.count(True) == 1), None)
@@ -277,7 +277,7 @@ def _numbered(name: str, table: Array) -> Columns:
 
 
 def _listed(name: str, structs: Sequence[Mapping[str, Any]]) -> Columns:
-    """A row for each struct, below them for each column of a matrix or struct in a field, counted: NAME.element."""
+    """Columns of structs, a row for each; below them a row for each column of a matrix, or struct, in a field."""
     columns, single, inside = Columns(), list[str](), list[str]()
     for key in structs[0] if structs else ():
         shapes = {np.shape(s[key]) if isinstance(s[key], np.ndarray) else () for s in structs}

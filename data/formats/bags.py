@@ -452,7 +452,7 @@ def scans_of(
     path: Path, topics: Sequence[Topic], found: Collected, robot: str, span: tuple[float, float],
     mending: Mending = AS_STATED,
 ) -> LaserScans:  # fmt: skip
-    """The scans of a bag on a robot's frame within the span [s]; what is no return is as in sensor_msgs/LaserScan."""
+    """The scans of a bag on a robot's frame within the span [s]. DataError: none there, or the laser is not level."""
     read = found.scans
     if not read.ranges:
         topic = next(t.name for t in topics if t.role is Role.SCANS)
@@ -505,8 +505,8 @@ def _scanner(path: Path, found: Collected, robot: str, low: float, step: float) 
 
 
 def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, mending: Mending = AS_STATED) -> Log:
-    """The log: frames are the scans within the span of the odometry, which is interpolated at their stamps, or tf;
-    without any, if `mending` wants none, the robot is the laser, at rest. UsageError: a topic is missing or ambiguous.
+    """The log: frames are the scans within the span of the odometry, else of tf; without both, if `mending` wants none,
+    the robot is the laser, at rest. UsageError: which topic, or no `rosbags`. DataError: a damaged bag, or no scan.
     """
     every = topics_of(path)
     if scan is None and not any(t.role is Role.SCANS for t in every):
@@ -571,8 +571,8 @@ def _poses(topic: Topic, found: Collected, robot: str) -> tuple[Array, Array, Ar
 def second_closures(
     topic: Topic, found: Collected, noise: TravelNoise | None, robot: str, time: Array, taken: Collection[str]
 ) -> tuple[Closures, str]:
-    """Closures between successive frames at `time` (N,), and a sentence. `noise`: None: of the twists; `robot`: the
-    other odometry's frame, on which tf mounts this one's; `taken`: names of other sources. UsageError: no noise.
+    """Closures between frames at `time` (N,), and a sentence; `noise`: None: of the twists; `robot`: the frame on which
+    tf mounts this one; `taken`: names of other sources. UsageError: no noise. DataError: too few messages, or no mount.
     """
     if not found.poses.get(topic.name):
         raise DataError(f"{topic.name}: no message; some are needed")

@@ -418,7 +418,7 @@ def of_result(log: Log, folder: Path) -> Estimate:
 
 
 def _ids(of: IntArray, landmark: Iterable[int], label: IntArray) -> dict[int, int]:
-    """Ids of landmarks: the label (M,) of most observations; of several with one label the most observed has it."""
+    """Ids of landmarks: the label (M,) of most of their observations; of several the most observed one has it."""
     both = (of >= 0) & (label >= 0)
     pairs, times = np.unique(np.stack([of[both], label[both]]), axis=1, return_counts=True)
     ids: dict[int, int] = {}

@@ -346,7 +346,7 @@ def _require_definite(path: Path, line: int, tag: str, matrix: Array, hint: str 
 
 
 def _of_robot(edge: Edge, offsets: list[Array]) -> Edge:
-    """A measurement of sensors at `offsets` as the robot's, its error turned: exact in heading, else first order."""
+    """A measurement of sensors at `offsets` as one of the robot, with its error turned to first order."""
     c, s = math.cos(offsets[-1][2]), math.sin(offsets[-1][2])
     if len(offsets) == 1:
         A = np.array([[c, -s], [s, c]])

@@ -169,7 +169,7 @@ LONGEST = 1000  # Lines of a field within quotes
 
 
 def _pairs(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
-    """Header and rows of lines `key: number, key: [number, number]` of the same keys, a stamp before; or none."""
+    """A header and rows of lines `key: number, key: [number, number]` that have the same keys; else none."""
     rows, names = list[tuple[int, str]](), ""
     for number, line in lines:
         if not line.strip() or line.lstrip().startswith("#"):
@@ -194,7 +194,7 @@ PAIR = rf"(?<!\w)([A-Za-z_]\w*)\s*[:=]\s*(?:({SEVERAL[0]})(?![\w.])|{SEVERAL[1]}
 
 
 def _blocks(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
-    """Header and rows of lines `key: number`, in blocks from the first key on, or of a key that comes again."""
+    """A header and rows of lines `key: number`, in blocks that begin with the first key; else none."""
     pairs = [(i, *line.replace(" ", "").partition(":")[::2]) for i, line in lines if line.strip()]
     names = list(dict.fromkeys(key for _, key, _ in pairs))
     if len(pairs) < 2 * len(names) or not all(key.isidentifier() and is_number(value) for _, key, value in pairs):

@@ -103,7 +103,7 @@ def _of_gpx(text: str) -> list[tuple[str, str, str, str]]:
 
 
 def _of_nmea(text: str) -> list[tuple[Any, ...]]:
-    """Stamp, latitude, longitude, height of GGA with a fix, else RMC; time of day [s], or the number before."""
+    """Stamp, latitude, longitude and height of sentences GGA with a fix, else of RMC."""
     kind = "GGA" if "GGA," in text else "RMC"
     found, clocks, day = list[tuple[Any, ...]](), list[tuple[float, float]](), 0.0
     for line in text.splitlines():

@@ -98,7 +98,7 @@ def _preintegrate(
     model: int, lateral: bool, time: Array, v: Array, omega: Array, rate: Array, hold: Array, beyond: Array,
     lead: float, fastest: Array, at: Array, mean: Array, cov: Array,
 ) -> None:  # fmt: skip
-    """Loop of `preintegrate`; rate (K, 3): variances per s of D, A, final turn; hold (> K,), lead [s]; fastest (2,)."""
+    """Loop of `preintegrate`; rate (K, 3): variances per second; hold (> K,) [s]; fastest (2,): |v|, |omega|."""
     n, k = len(time), 0
     step_mean, G, Q = np.empty(3), np.empty((3, 2)), np.empty((3, 3))
     for f in range(1, len(at)):

@@ -287,7 +287,7 @@ def _by_size(x: Examination) -> list[Explained]:
 
 
 def _minutes(c: Case) -> list[Explained]:
-    """Velocities over stamps in minutes: rows too fast, and what is seen changes 60 times as much as they predict."""
+    """Velocities over stamps in minutes: what is seen changes 60 times as much as they predict."""
     if not c.stamped or c.kind != "velocities" or len(c.z) < FEWEST or np.median(np.diff(c.time)) > FAST:
         return []
     slower = replace(c, time=60.0 * c.time, at=60.0 * c.at, truth_time=60.0 * c.truth_time)
@@ -528,7 +528,7 @@ def _motions(c: Case, span: int) -> tuple[Array, ...] | None:
 
 
 def _share(off: Array, moved: Array, variance: Array, aside: Array | None = None) -> tuple[float, float, float, float]:
-    """Share of a reading's change in differences (n, 2), gain in log-likelihood, squares stated and left."""
+    """Of a reading its share of the change in differences (n, 2), its gain in log-likelihood, and squares left."""
     sigma = np.sqrt(np.maximum(variance, TINY**2))
     off, e = off / sigma, (off - moved) / sigma
     square = np.sum(off**2, axis=1)

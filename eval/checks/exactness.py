@@ -532,9 +532,10 @@ def first_step(text: str, inputs: Inputs, allowed: float) -> tuple[Bug, ...]:
 
 
 def of_samples(text: str, inputs: Inputs, frames: Frames) -> tuple[str, tuple[Bug, ...], bool]:
-    """Compare draws of the motion with Q, and weights, or how often samples are drawn again, with likelihoods: what is
-    wrong, "draws" or "weights", or "moved" by an update, else "right", empty if nothing is compared; mistakes with a
-    name; whether samples are ever drawn again.
+    """Compare draws of the motion with Q, and weights, or how often each sample is drawn again, with likelihoods.
+
+    Returns what is wrong ("draws", "weights", "moved" by an update; "right"; empty: nothing was compared),
+    the mistakes that have a name, and whether samples are ever drawn again.
     """
     made, what, again, weighed = make_estimator(text, inputs), "", False, list[Weighed]()
     assert isinstance(made, Adapter)

@@ -326,7 +326,7 @@ def drawing() -> Iterator[None]:
 
 @contextmanager
 def _ticks_kept(fig: Figure) -> Iterator[None]:
-    """An axis makes its ticks again only where limits or panel changed: matplotlib does so 25 times a panel."""
+    """Make an axis' ticks again only where its limits or panel changed; matplotlib does so 25 times a panel."""
     panels: list[Any] = [axis for ax in fig.axes for axis in (ax.xaxis, ax.yaxis)]
     kept = [axis for axis in panels if "_update_ticks" not in vars(axis)]
     for axis in kept:

@@ -178,7 +178,7 @@ def _less(poses: Array, off: Array) -> Array:
 
 
 def _delayed(inputs: Inputs, delay: float, growth: float) -> Array:
-    """Effect of a delay [s] that grows [s/s] on observations (M, 2) of points: they are of an earlier pose."""
+    """What a delay [s] that grows [s/s] does to observations (M, 2) of points: they are of an earlier pose."""
     o, sensor = inputs.observations, inputs.sensor
     if not len(o.frame) or (delay == 0.0 and growth == 0.0):
         return np.zeros((len(o.frame), 2))

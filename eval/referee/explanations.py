@@ -415,7 +415,7 @@ def _are_of(e: Evidence, landmark: Explanation) -> bool:
 
 
 def _tails(e: Evidence, observations: Array) -> tuple[list[Explanation], Array]:
-    """Student's t instead of the Gaussian for residuals (M, 2) in sigmas, squares (M,); core or variance stated."""
+    """Student's t instead of the Gaussian, for residuals (M, 2) in their sigmas and squares (M,)."""
     rows = np.flatnonzero(np.isfinite(observations).all(axis=1))
     even = np.nansum(observations**2, axis=1)
     if len(rows) < 4 * FEWEST:

@@ -141,7 +141,7 @@ def of_online(run: Run, smoother: Run | None, inputs: Inputs) -> dict[str, Stati
 
 
 def _of_source(scored: SourceScore, key: str) -> dict[str, Statistic]:
-    """NIS, correlation and the largest innovation (beside its median) of a source's fixes or closures, rejected too."""
+    """NIS, correlation and largest innovation of the fixes or closures of a source, rejected ones included."""
     found: dict[str, Statistic] = {}
     if scored.nis_dof:
         found[f"nis_{key}"] = Statistic(scored.nis_mean, scored.expected)

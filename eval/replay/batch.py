@@ -111,7 +111,7 @@ def _lowest(
     inputs: Inputs, final: IntArray, initialized: IntArray, starts: Sequence[Callable[[], Start | None]], loss: str,
     rejected: BoolArray, enough: float,
 ) -> Smoothed:  # fmt: skip
-    """The minimum from the first start, or the lowest from others while it is suspicious, as under a robust loss."""
+    """The minimum from the first start, or the lowest of those from others while it is suspicious."""
     result, stop, tried = None, None, 0
     both = loss != "gaussian" and inputs.closures is not None
     for each in starts:
@@ -135,7 +135,7 @@ def _lowest(
 
 
 def _start_of(other: Callable[[], Run], inputs: Inputs, initialized: IntArray) -> Start | None:
-    """The path of another run as a start; None: it has none, or other landmarks, as one whose landmarks begin late."""
+    """The path of another run as a start; None where it has none, or other landmarks."""
     run = other()
     if run.failure is not None or run.online is None:
         return None
@@ -145,7 +145,7 @@ def _start_of(other: Callable[[], Run], inputs: Inputs, initialized: IntArray) -
 
 
 def _chordal(inputs: Inputs, initialized: IntArray, final: IntArray | None = None) -> Start:
-    """The chordal path, with landmarks where they were observed first, or all their ranges or bearings meet."""
+    """The chordal path, with landmarks where they were observed first, or where all their measurements meet."""
     pose = chordal_path(inputs)
     return Start(pose, _places(inputs, pose, initialized, final))
 

@@ -88,7 +88,7 @@ def source_of(
 
 
 def _gated(inputs: Inputs, path: Array, used: residuals.Used) -> IntArray:
-    """Row of the landmark (M,) that a gated observation fits, -1: none; as clutter it would count as wrong."""
+    """Row of the landmark (M,) that an unused observation fits, -1: none; as clutter it would count as wrong."""
     o = inputs.observations
     row = np.full(len(o.frame), -1)
     for i in np.flatnonzero(used.number < 0):

@@ -453,7 +453,7 @@ def _covariances(
     s: Structure, t: Triangle, first: IntArray, sets: IntArray, column: IntArray, at: IntArray, out: Array,
     at_out: IntArray,
 ) -> None:  # fmt: skip
-    """Joint covariances by front, kept until the last child; `first`, `sets` by front; `column`, `at` columns."""
+    """Joint covariance of the columns of each front; a front's is kept until its last child is done."""
     first_of, parent, children, start, after = s.column, s.parent, s.children.copy(), s.start, s.after
     R, S, at_R, at_S = t.R, t.S, t.at_R, t.at_S
     fronts, used = np.empty(1024), 0

@@ -121,8 +121,8 @@ def test_of_stamps_those_count_that_tell_rows_apart_others_are_numbers_of_rows_o
     text = table({"stamp": 0 * T, "time": T, "x": TRUE[:, 0], "y": TRUE[:, 1]})
     assert scored(text, table(WHOLE))["matched"] == 60
     truth = re.sub("(?m)^([\\d.]+)", r"\1 sec", table(WHOLE | {"t": 1000.0 + T, "x": TRUE[:, 0]}))
-    values = scored(table(WHOLE | {"t": np.arange(60.0), "x": MINE[:, 0] + 0.01 * (T == T[-1])}), truth)
-    assert values["rmse_position_m"] == pytest.approx(0.1, rel=0.01)  # numbers of rows
+    values = scored(table(WHOLE | {"t": np.arange(60.0), "x": MINE[:, 0] + 0.01 * (T[-1] == T)}), truth)
+    assert values["rmse_position_m"] == pytest.approx(np.sqrt((59 * 0.01 + 0.0121) / 60), rel=1e-5)  # of rows
     assert values["end_position_m"] == pytest.approx(0.11)
     both = {"time": np.floor(T), "x": MINE[:, 0], "y": MINE[:, 1], "gt_x": TRUE[:, 0], "gt_y": TRUE[:, 1]}
     values = scored(table(both))  # those that repeat: rows are compared one by one

@@ -592,7 +592,7 @@ def _without_growth(N: Array, D: Array) -> tuple[int, Array]:
 
 
 def _gauge(f: linear.Factored, N: Array, members: IntArray, poses: IntArray) -> tuple[int, Array]:
-    """Number of directions that move nearly all poses, and what moves while the pose that lets the fewest stays."""
+    """Number of directions that move nearly all poses, and what still moves while one well-tied pose stays."""
     rank = _ranks(f, N, poses)
     if np.count_nonzero(rank) < max(WHOLE * len(poses), 1):
         return 0, N

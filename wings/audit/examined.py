@@ -78,7 +78,7 @@ class Scale(NamedTuple):
         return self.value < min(self.error, 1.0)
 
     def told(self, large: bool) -> tuple[bool, bool, bool, float]:
-        """Grows with what there is to tell where all residuals together are too `large`, or small."""
+        """Sort key of what to tell first, where all residuals together are too `large`, or too small."""
         return not self.vanishes, not self.vague, (self.value > 1.0) == large, float(abs(np.log(self.sigma)))
 
 

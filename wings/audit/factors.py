@@ -320,7 +320,7 @@ def _chain(f: Factored) -> dict[int, Array]:
 def _tested(
     f: Factored, seen: Sequence[Directions], k: int, rows: IntArray, chain: Mapping[int, Array]
 ) -> tuple[Cluster, Array]:
-    """Those of group k that agree most, and the right-hand side without them; the least p, corrected for subsets."""
+    """The factors of group k that agree most, by the least p value, and the right-hand side without them."""
     g, (n, d), every = f.system.groups[k], (len(rows), seen[k].r.shape[1]), np.arange(len(rows))
     root, index, later = np.sqrt(g.weight[rows])[:, None], f.index(g)[rows], g.variables[rows].max(1)
     A, r = root[:, :, None] * g.A[rows], root * seen[k].r[rows]

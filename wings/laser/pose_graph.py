@@ -105,7 +105,7 @@ class FixedLagPoseGraph(PoseGraph):
     """`PoseGraph` with a bounded number of key poses in the graph."""
 
     def __init__(self, prior: Prior, time: Array, *, lag: float) -> None:
-        """As `PoseGraph`; a key pose stays for `lag` >= 0 [s] after its time of times (K,) [s], or a tenth longer."""
+        """As `PoseGraph`, but a key pose leaves `lag` [s] after its own of the times (K,) [s], or a tenth later."""
         if not lag >= 0.0:
             raise ValueError(f"lag {lag} must not be negative")
         super().__init__(prior)

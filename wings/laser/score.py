@@ -143,9 +143,7 @@ the laser's reach, 80 and more, in a recorded corridor 76, in simulated building
 
 
 def unobserved(run: LaserRun, inputs: Inputs) -> Notice | None:
-    """A notice where scans do not fix the way along bare walls, or none is in sight, for long: odometry, or nothing,
-    tells it.
-    """
+    """A notice where for long no scan fixes the way along bare walls: odometry alone tells it, or nothing does."""
     if inputs.scans is None or run.loose is None:
         return None
     loose = run.loose[inputs.scans.frame]

@@ -56,7 +56,7 @@ class Link:
         self, device: str, clock: Clock, recording: Recording | None = None, *, with_frames: bool = False,
         with_scans: bool = False, open_port: Callable[[str], Serial] | None = None,
     ) -> None:  # fmt: skip
-        """Open the device, pyserial's or as `open_port` does; UsageError if it fails. with_scans: a faster line."""
+        """Open the device by pyserial or `open_port`; UsageError if that fails. `with_scans`: a faster line."""
         self.exchange = Exchange(framed=with_frames, scans=with_scans)
         self._open_port = open_port or partial(open_serial, baud=LIDAR_BAUD if with_scans else BAUD)
         self._device, self._clock, self._recording = device, clock, recording

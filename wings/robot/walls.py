@@ -149,7 +149,7 @@ def _distances(sensors: Array, ranges: Array, rho: float | Array, alpha: float |
 
 
 def _repeated_median(sensors: Array, ranges: Array) -> tuple[float, float]:
-    """Rho, alpha of a line with half the readings outliers (Siegel 1982); echoes on the axes, then by the line."""
+    """Rho and alpha of a line that tolerates half of the readings as outliers (repeated median, Siegel 1982)."""
     axis = math.atan2(float(np.sin(sensors[:, 2]).sum()), float(np.cos(sensors[:, 2]).sum()))
     c, s = math.cos(axis), math.sin(axis)
     laid: float | Array = sensors[:, 2]

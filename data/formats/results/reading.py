@@ -201,7 +201,7 @@ WORD = "(?i)(?<![a-z])({})(?![a-z])"
 
 
 def _by_number(names: Sequence[str]) -> dict[str, str]:
-    """Names c_xx to c_tt of entries P00, P_0_1 or P[1][1], or of variances P_0 to P_2, of x, y, heading, or x and y."""
+    """Names c_xx to c_tt of entries P00, P_0_1 or P[1][1] of a covariance, or of variances P_0 to P_2."""
     digits = {n: re.findall(r"\d", n) for n in names if re.fullmatch(r"P_?\[?\d[\]\[_,]*\d\]?|P_\d", n)}
     pair = {n: (int(d[0]), int(d[-1])) for n, d in digits.items()}
     low, high = min(map(min, pair.values()), default=2), max(map(max, pair.values()), default=2)
@@ -389,7 +389,7 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
 
 
 def _require_one(body: Text, names: Sequence[str], value: dict[str, Array]) -> None:
-    """Raise DataError where a column tells paths apart whose rows alternate: at equal stamps, or far and often."""
+    """Raise DataError where a column tells two paths apart whose rows alternate, as at equal stamps."""
     place = np.nan_to_num(value["x"] + 1j * value["y"])
     step = np.abs(np.diff(place))
     same = (np.diff(value["t"]) == 0.0) & (step > 0.0)
@@ -518,7 +518,7 @@ def _planar(
     body: Text, kind: str, value: dict[str, Array], manner: Manner, notes: tuple[str, ...],
     *, unit: str | None = None, column: int, angles: str | None = None, ours: bool = False,
 ) -> GivenPath:  # fmt: skip
-    """The trajectory of t, x, y, yaw [rad], maybe a covariance; `ours`: unknown poses stay, zeros are exact priors."""
+    """The trajectory of t, x, y, yaw [rad] and maybe a covariance; `ours`: unknown poses are kept."""
     time, clock = lines.times_of(body, value["t"], manner, unit=unit, column=column)
     scale = LENGTH[manner.lengths or "m"]
     pose = np.column_stack([scale * value["x"], scale * value["y"], wrap_angle(value["yaw"])])

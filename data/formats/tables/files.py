@@ -165,7 +165,7 @@ def _separator(lines: Sequence[str]) -> str:
 
 
 def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, seen: bool = False) -> TextTable:
-    """The file's rows; `stated`: names of columns; `odometry`: rows of it; `seen`: each may have a row of several."""
+    """A file's rows, or DataError. `stated`: names of columns; `odometry`: its rows; `seen`: each may have several."""
     bag, topic = file_and_topic(str(path))
     if topic is None and is_bag(bag):
         what = f"type slamref convert bag {bag} --list; a topic is a table: slamref convert table {bag}:/TOPIC LOG"
@@ -264,7 +264,7 @@ FRACTIONS = {6: "us|usecs?|micro.*", 3: "ms|msecs?|milli.*"}
 def _lists(
     names: tuple[str, ...] | None, rows: list[tuple[str, ...]], number: IntArray
 ) -> tuple[tuple[str, ...] | None, list[tuple[str, ...]], IntArray]:
-    """Lists in fields as columns NAME_1, NAME_2; of unequal ones, or of groups `(1, 2.5), (2, 0.5)`, as rows below."""
+    """Lists in fields as columns NAME_1, NAME_2, ...; lists of unequal lengths, or of groups, as rows below."""
     count, below = len(rows), dict[tuple[int, ...], list[int]]()  # rows below by how many each row has
     for j in reversed(range(len(rows[0]))):
         pattern = r"[\[({]|\d;|\d\s+[-+.\d]"
@@ -360,7 +360,7 @@ def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
 
 def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
     """A row for each landmark of a table with a column for each, of names with a star by quantity; what the star stands
-    for is the label, but of columns that are filled from the left. Blank and other ranges above 0 alone are observed.
+    for is the label, but of columns filled from the left. Blank, infinite, zero and negative ranges are no observation.
     """
     found: dict[str, dict[str, int]] = {}
     own = not {"label", "true_id"} & set(patterns)
@@ -808,7 +808,7 @@ class Columns:
         return values * self.units.factor(role, "t") + self.offsets.get(role, 0.0)
 
     def _by_word(self, file: TextTable, column: int, keep: BoolArray) -> Array | None:
-        """Numbers of landmarks (K,) named by words: their last number, else by first use; None: all are numbers."""
+        """Numbers of landmarks (K,) that a column names by words; None where all are numbers."""
         texts = file.text(column, keep)
         if not self.words and all(is_number(text) for text in texts if text):
             return None

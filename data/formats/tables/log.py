@@ -271,7 +271,7 @@ def _rows_a_step(file: TextTable, of: TableSensor, wanted: Wanted, poses: int) -
 
 
 def _landmarks_in_turn(seen: Array, of: TableSensor, wanted: Wanted) -> tuple[IntArray, str]:
-    """Ids (n,) of landmarks seen (K, n, 2) in one order, that of the map or constant by their distances; and a note."""
+    """Ids (n,) of landmarks seen (K, n, 2) in the same order each time, and a note; no ids where not so."""
     texts, apart = wanted.texts, np.hypot(*np.moveaxis(seen - np.roll(seen, 1, axis=1), -1, 0))
     known = _map(texts["map"], replace(wanted, columns=wanted.columns.quiet)) if "map" in texts else None
     ids = np.arange(seen.shape[1]) if known is None else known.id
@@ -681,7 +681,7 @@ def _agree(fixes: Fixes, moved: Increments, start: Array) -> bool:
 
 
 def _fresh(fixes: Fixes, moved: Increments, notes: list[str]) -> Fixes:
-    """Without positions that repeat the one before of their source while the odometry moves: such a source holds it."""
+    """The positions that do not repeat the one before while the odometry moves: a source may hold its last one."""
     rows = np.flatnonzero(fixes.kind != FixKind.HEADING)
     rows = rows[np.argsort(fixes.source[rows], kind="stable")]
     stated = np.column_stack([fixes.source, fixes.z])[rows]

@@ -153,7 +153,7 @@ def _sensor(
     role: str, name: str, texts: Mapping[str, Mapping[str, str]], file: TextTable, columns: Columns, taken: bool,
     *, free: bool = False,
 ) -> TableSensor | None:  # fmt: skip
-    """One of them, by what is stated of it, or of all; `taken`: x, y are another's; `free`: none without columns."""
+    """A sensor by what is stated of it or of all; `taken`: x, y are another part's; `free`: it may have no columns."""
     of = {flag: found.get(name, found.get("")) for flag, found in texts.items()}
     found = [q for q in ("range", "bearing") if (columns.quiet if free else columns).find(file, role, q) is not None]
     guessed = free and found == ["range"] and not {"range", "label", "true_id"} & {*file.names, *columns.given}
@@ -500,7 +500,7 @@ def _moves(p: _Parts, table: TextTable) -> bool:
 
 
 def _blind(p: _Parts, given: Given) -> tuple[float, Given]:
-    """The speed [m/s] within which a robot without odometry moves, 0: with one; and flags, beside scans or fixes."""
+    """The speed [m/s] within which a robot without odometry moves, 0 with one, and the flags with what they assume."""
     table, looked = p.texts["odometry"], p.columns.quiet
     if _moves(p, table) or "odometry-kind" in given:
         return 0.0, given
@@ -617,7 +617,7 @@ def _laid_out(
 
 
 def _are_places(texts: Mapping[str, TextTable], columns: Columns, kind: str) -> bool:
-    """Whether x, y beside an odometry are places that fit its path better than landmarks that stand still do."""
+    """Whether x, y beside an odometry are places in the world rather than observations of landmarks."""
     file, looked, wants = texts["odometry"], columns.quiet, ("t", "x", "y")
     others = ("range", "bearing", *table_files.IDS)
     alone = looked.has(file, OBSERVATIONS, wants) and not any(looked.has(file, OBSERVATIONS, (q,)) for q in others)

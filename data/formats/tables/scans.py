@@ -34,7 +34,7 @@ def read_scans(
     file: TextTable, columns: Columns, scanner: Array | None, odometry: Odometry, mount: Array | None = None
 ) -> tuple[LaserScans, Table]:
     """All scans, and their stamps as a table; without stamps one for each row of the odometry. `scanner`: (3,) first
-    angle, step [rad] and reach [m]; `mount`: (3,) its pose on the robot.
+    angle, step [rad] and reach [m]; `mount`: (3,) its pose on the robot. DataError: bad fields; UsageError: no angles.
     """
     at = {name.rpartition(".")[2]: k for k, name in enumerate(file.names)}
     numbers = _geometry(file.names)
@@ -239,7 +239,7 @@ def _uneven(scanner: Array, beams: int) -> tuple[IntArray, Array]:
 
 
 def _folded(file: TextTable, beam: int, columns: Columns, odometry: Odometry) -> tuple[TextTable, list[int], Array]:
-    """Scans whose ranges are in one column, one after the other, a row each; columns and stamps. Or DataError."""
+    """Scans whose ranges stand in one column, a row each, and their stamps; DataError where that is ambiguous."""
     count = 1 + max((k for k, row in enumerate(file.rows) if row[beam]), default=-1)
     stamp, what, uneven = odometry.rows[~np.isnan(odometry.rows)], "poses", False
     if columns.find(file, "scans", "t") is not None:
@@ -260,7 +260,7 @@ def _folded(file: TextTable, beam: int, columns: Columns, odometry: Odometry) ->
 
 
 def _alone(file: TextTable, rows: int) -> tuple[int, dict[str, str]] | None:
-    """First column of ranges in a file without names that holds nothing else but stamps (stated) or row numbers."""
+    """First column of the ranges in a file without names that holds them alone, or behind stamps; else None."""
     if file.named or len(file.names) < BEAMS or not all(is_number(f or "0") for row in file.rows for f in row):
         return None
     values = np.nan_to_num(np.array([[f or "0" for f in row] for row in file.rows], float), posinf=0.0)

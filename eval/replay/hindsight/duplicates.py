@@ -98,7 +98,7 @@ def recognize(
 
 
 def _agreeing(new: Landmarks, old: Landmarks, cross: Array, i: IntArray, j: IntArray) -> tuple[IntArray, IntArray]:
-    """The pairs i, j (k,) that can be the same with their correlations, without the worst, one at a time; or none."""
+    """The pairs of landmarks i, j (k,) that can be the same, in view of all their correlations; or none."""
     while len(i) >= constants.CONSTELLATION_FEWEST:
         both = cross[np.ix_(coordinates(i), coordinates(j))]
         W = np.linalg.inv(of_points(new.covariance, i) + of_points(old.covariance, j) - both - both.T)
@@ -118,7 +118,7 @@ def _agreeing(new: Landmarks, old: Landmarks, cross: Array, i: IntArray, j: IntA
 def _vote(
     x: Array, y: Array, allowed: BoolArray, tolerance: Array, max_turn: float, long: float, fewest: int, kept: int
 ) -> tuple[IntArray, IntArray, Array]:
-    """Lay pairs of x (m, 2) onto allowed ones of y (n, 2); the `kept` best (h, m), -1: none, with votes and misfits."""
+    """The `kept` best assignments (h, m) of points x (m, 2) to y (n, 2), -1: none, with their votes and misfits."""
     m, n = allowed.shape
     best, counts = np.full((kept, m), -1), np.zeros(kept, np.int64)
     misfit, h = np.zeros(kept), 0

@@ -118,7 +118,7 @@ def reassociate(
 def _nearest(
     kind: int, extrinsic: Array, pose: Array, xy: Array, frame: IntArray, z: Array, R: Array, limits: Array
 ) -> tuple[IntArray, BoolArray, BoolArray]:
-    """Landmark of xy (n, 2) in each gate (m,), -1: none; whether no other is in the inner; frames without choice."""
+    """Nearest landmark of xy (n, 2) in each gate (m,), -1: none; whether it is alone there; frames without a choice."""
     m, n, (reach, gate, inner) = len(z), len(xy), limits
     chosen, alone, clear = np.full(m, -1), np.zeros(m, np.bool_), np.ones(len(pose), np.bool_)
     last, z_hat, Hx, Hl = np.full(n, -1), np.empty(2), np.empty((2, 3)), np.empty((2, 2))

@@ -90,7 +90,7 @@ def _toward(before: NoiseScale, total: float, excess: float) -> NoiseScale:
 
 @njit
 def _excess(nu: Array, part: Array, one: Array, other: Array, freedom: float, least: float) -> tuple[float, float]:
-    """Squared share of a part (k, 2, 2) in covariances of innovations: its sum, and that times what each says."""
+    """Sums of squared shares of a part (k, 2, 2) in the innovations' covariances, alone and times what each says."""
     total, excess = 0.0, 0.0
     for i in range(len(nu)):
         x, y, xx, xy, yy = nu[i, 0], nu[i, 1], part[i, 0, 0], part[i, 0, 1], part[i, 1, 1]

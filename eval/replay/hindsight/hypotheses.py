@@ -238,7 +238,7 @@ class Hypotheses:
         return z_hat, HPHt
 
     def _join(self, z: Array, R: Array) -> None:
-        """Make uncertain landmarks that may be paired states of all hypotheses; those out of reach leave again."""
+        """Make uncertain landmarks that may be paired states of all hypotheses; those out of reach leave the state."""
         assert self.map.sigma is not None
         wanted = np.zeros(len(self._at), np.bool_)
         for h in self.members:

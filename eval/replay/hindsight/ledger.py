@@ -279,7 +279,7 @@ class Ledger:
             record.covisible.remove(n)
 
     def _opportunity(self, number: int, place: tuple[float, float], at: int, *, detected: bool) -> bool:
-        """Whether it is from another `place` than the last, by the cell `at`, and tells something; confirmed count."""
+        """Whether this opportunity, at cell `at`, is from another `place` than the last and tells something."""
         record = self.records[number]
         familiar, (x, y) = at in record.familiar, record.place
         elsewhere = math.hypot(place[0] - x, place[1] - y) >= constants.SAME_PLACE * self.range

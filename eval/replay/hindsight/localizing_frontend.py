@@ -77,7 +77,7 @@ def watch(before: Health, offered: int, paired: int, nis: float, dof: int) -> He
 
 
 def _against_strays(before: Health, offered: int, left: int) -> float:
-    """Log-likelihood ratio of "lost" for `left` of `offered` unpaired: the smaller of binomial and Poisson models."""
+    """Log-likelihood ratio of "lost" for `left` of the `offered` observations unpaired, the smaller of two models'."""
     share = min(max(before.share, constants.HEALTH_SHARE_LEAST), constants.HEALTH_SHARE_MOST)
     binomial = (offered - left) * math.log(constants.LOST_SHARE)
     binomial += left * math.log((1.0 - constants.LOST_SHARE * share) / (1.0 - share))

@@ -162,7 +162,7 @@ class Kidnapping:
         return Relocated(jcbb_conditional(few, self.setup.gate, self.setup.new_gate)[0], None, kidnapped)
 
     def _alarm(self, seen: int, paired: int) -> bool:
-        """Whether this frame's missed and `paired` of `seen` observations raise the alarm."""
+        """Whether missed detections, and unpaired ones of the `seen` observations, raise the alarm in this frame."""
         if self._score == 0.0 and not self.lost:
             self._before = self.ledger.created
         missed = self.ledger.surprise() if seen >= constants.ALARM_OBSERVATIONS else 0.0
@@ -174,7 +174,7 @@ class Kidnapping:
         return True
 
     def _search(self, frame: Frame, known: LandmarkMap) -> tuple[IntArray, Array] | None:
-        """Decisions (m,), pose (3,) by the scan's only place in the map without landmarks begun since the trouble."""
+        """Decisions (m,) and pose (3,) of the frame if the scan has one place among the landmarks from before."""
         old = known.id < self._before
         rows = np.arange(frame.first, frame.first + len(frame.observations.z))
         self._scan = extended(self._scan, self.ledger.sensor, frame.observations, rows)

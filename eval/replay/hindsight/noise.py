@@ -241,7 +241,7 @@ def _motions(
 
 @njit
 def _fit(of: IntArray, s: Step, prior: float, rounds: int, wide: float, some: float) -> tuple[float, float, float]:
-    """Shares after `rounds` rounds with a prior of `prior` pairs; pair j of step of[j] is static, moving or of two."""
+    """Shares after `rounds` rounds, with a prior of `prior` pairs for the stated noise; pair j is of step of[j]."""
     _, nu, H, one, two, chance = s
     n, steps = len(of), len(s.covariance)
     # from above: noise that is as large as that of what moves would else be taken for it

@@ -92,7 +92,7 @@ def _occluded(
     polar: Array, seen: Array, at: IntArray, at_seen: IntArray, shadow: float, width: float, open_to: BoolArray,
     behind: BoolArray,
 ) -> None:  # fmt: skip
-    """Which polar places (n, 2) have something seen (m, 2) before them within `shadow` [rad], which another."""
+    """Which polar places (n, 2) are hidden by something seen (m, 2), and which may be hidden by one another."""
     for f in range(len(at) - 1):
         for i in range(at[f], at[f + 1]):
             r, b = polar[i, 0], polar[i, 1]
@@ -231,7 +231,7 @@ def persistence(every: Sequence[Detections]) -> Persistence:
 
 
 def _rates(seen: Array, total: Array, weight: Array, a: Array, b: Array) -> tuple[Array, Array]:
-    """A step of Minka (Estimating a Dirichlet distribution, 2000) to the likeliest beta distribution of a viewpoint."""
+    """One step (Minka 2000) towards the likeliest beta distributions of detection probabilities, by viewpoint."""
     psi = scipy.special.digamma
     out_of = weight @ (psi(a + b + total) - psi(a + b))
     detected, missed = weight @ (psi(a + seen) - psi(a)), weight @ (psi(b + total - seen) - psi(b))
@@ -319,7 +319,7 @@ def _log_sum(terms: Array) -> float:
 
 @njit
 def _likelihoods(codes: IntArray, p: Array, chance: float, leaving: float, result: Array, expected: Array) -> None:
-    """Log-likelihoods `result` (3,) of the kinds, over the codes before which it may have left; expected (3,)."""
+    """Log-likelihoods `result` (3,) of the kinds of landmarks, summed over the times at which one may have left."""
     (real, at_once, later, appears), a, b = p[0], p[1].copy(), p[2].copy()
     rate, before = a / (a + b), 0
     while before < len(codes) and codes[before] == BEFORE:

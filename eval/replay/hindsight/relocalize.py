@@ -159,7 +159,7 @@ def distance_sigmas(xy: Array, P: Array) -> Array:
 
 
 def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, area: float) -> Place | None:
-    """Gauss-Newton fit to the pairings, None outside the joint gate; log-likelihood, unpaired strays in `area`."""
+    """Gauss-Newton fit of the pose to the pairings, with its log-likelihood; None outside their joint gate."""
     paired = np.flatnonzero(choice >= 0)
     points, places = xy[paired], landmarks[choice[paired]]
     pose = se2.rigid_fit(points, places)

@@ -289,7 +289,7 @@ class WholeLog:
         return None if odds < constants.PLAIN_ODDS else (_renamed(other, ours), odds)
 
     def _smooth(self, number: IntArray, path: Array, known: LandmarkMap, by: Assumed) -> Smoothed:
-        """Smooth from a path (N, 3) and a map, re-associate, merge; again while observations become likelier."""
+        """Smooth and re-associate from a path (N, 3) and a map, with merges, while observations become likelier."""
         places = np.full((int(known.id.max()) + 1, 2), np.nan)
         places[known.id] = known.xy
         best = self._smooth_once(number, Start(path, places), by)
@@ -369,7 +369,7 @@ class WholeLog:
 
 
 def _chances(view: Sensor, pose: Array, known: LandmarkMap, seen: Observations, number: IntArray) -> dict[int, float]:
-    """Detection probability of each landmark after it vanished: by clutter in its gate, or its nearest neighbour."""
+    """Detection probability of each landmark after it has vanished, by clutter and neighbours in its gate."""
     single = np.bincount(number[number >= 0], minlength=1) == 1
     gate = math.pi * gate_threshold(constants.REASSOCIATION_GATE) * np.median(np.sqrt(np.linalg.det(seen.R)))
     clutter = gate * _clutter_density(view) * ((number < 0).sum() + single.sum()) / len(np.unique(seen.frame))

@@ -11,7 +11,7 @@ import slamref
 from data.tails import log_below, log_tail
 from tests.quick import slow
 from wings.audit.command import main
-from wings.audit.examined import shown_tables
+from wings.audit.examined import Scale, shown_tables
 from wings.audit.files import optimized
 
 SIGMA = {False: np.array([0.05, 0.05, 0.01]), True: np.array([0.01, 0.01, 0.01, 0.05, 0.05, 0.05])}
@@ -99,3 +99,8 @@ def test_what_a_person_sees_has_neither_rounding_errors_nor_empty_tables_nor_a_p
     graph, guess, (loop,) = looped(1, 1e6, 0, spatial=False)
     worst = shown_tables(slamref.audit(graph, guess, draws=0))["factors"].set_index("factor")
     assert re.fullmatch(r"\d\.\d{3}e-\d{4,}", worst["p"][loop])
+
+
+def test_of_wrong_scales_the_one_on_the_side_of_the_misfit_is_told_first():
+    x, theta = Scale("x", "odometry", 0.05, 0.002, 0.22), Scale("theta", "odometry", 9.8, 0.4, 3.1)
+    assert [max((x, theta), key=lambda s, large=large: s.told(large)) for large in (True, False)] == [theta, x]

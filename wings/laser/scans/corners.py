@@ -118,7 +118,7 @@ class _Line(NamedTuple):
 
 
 def _line(p: Array, direction: Array, outer: int, middle: int, c: Array, sigma: float) -> _Line | None:
-    """The line through points between a vertex and the beam of corner c, or None; a point's sigma: of range |n d|."""
+    """The line through the points between a vertex and the beam of corner c; None if they make no good one."""
     towards = 1 if outer > middle else -1
     row = np.arange(middle, outer, towards)
     fine = row[(np.hypot(*(p[row] - c).T) > TRIM) & (np.hypot(*(p[row] - p[outer]).T) > TRIM)]

@@ -52,7 +52,7 @@ class Grid:
 
 @njit
 def _add_scans(origins: Array, ends: Array, returned: BoolArray, log_odds: Array, touched: NDArray[np.int32]) -> None:
-    """Add scans to log_odds (H, W): origins (K, 2), ends (K, B, 2), returned; `touched`: a cell changes once each."""
+    """Add scans with ends (K, B, 2) from origins (K, 2) to log_odds (H, W); a cell changes once per scan."""
     for k in range(len(ends)):
         for b in range(ends.shape[1]):
             if returned[k, b]:

@@ -62,7 +62,7 @@ def laser_runs(
 
 
 def _corner_log(inputs: Inputs, chain: Chain) -> Inputs:
-    """Key poses as a landmark log: corners as observations, scan matches as increments; no closures, no wheels."""
+    """Key poses as a landmark log of corners and scan matches, without loop closures and wheel odometry."""
     scans = inputs.scans
     assert scans is not None
     covariance, floored = floor_covariances(chain.covariance, inputs.covariance_floor)

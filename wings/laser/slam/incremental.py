@@ -162,7 +162,7 @@ class Tracker:
         return float(error @ prior.information @ error)
 
     def _penalty(self, found: Match, prior: MotionPrior, slip: Array, going_on: Array | None) -> float:
-        """Negative log likelihood of a match by odometry, or as a slip with sigmas (3,); going_on: the last motion."""
+        """Negative log likelihood of a match: by odometry, or as a slip with sigmas (3,) from the last motion."""
         error = pose_error(found.pose, prior.mean)
         penalty = min(0.5 * self._chi2(found, prior), RARE + 0.5 * float(((error / slip) ** 2).sum()))
         if going_on is not None:
