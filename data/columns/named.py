@@ -43,6 +43,11 @@ def unused(names: Sequence[str], quantities: Collection[str]) -> str:
     return f"{'column' if len(said) == 1 else 'columns'} not used: {', '.join([*said[:SHOWN], *more])}"
 
 
+def is_stamp(name: str) -> bool:
+    """Whether a word in the name of a column is one of a stamp."""
+    return not {*STAMP}.isdisjoint(re.split(r"[^a-z0-9]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()))
+
+
 def or_blank(values: NDArray[Any], there: BoolArray) -> list[Any]:
     """Values (K, ...) to write, empty where there is none."""
     written: list[Any] = np.where(there, values.astype(object), "").tolist()

@@ -16,7 +16,7 @@ from data.formats.matlab import load
 from data.formats.mrclam import load_mrclam
 from data.formats.results.reading import read_path
 from data.formats.results.tables import companions
-from data.formats.tables.files import read_text
+from data.formats.text import read_table
 from data.logs import open_log
 from eval.plan.flags.options import read_options
 from graph import engine as window
@@ -131,8 +131,8 @@ def test_a_field_too_long_a_great_number_and_odd_file_names_are_one_line(tmp_pat
     assert said.isprintable()
     assert r"two\nlines\x1b[31m" in said
     (tmp_path / "robot.csv").write_text("t,v\n0," + "9" * 200_000 + "\n")
-    assert ":2: more than 131072 characters" in peak(read_text, tmp_path / "robot.csv")[1]
-    assert "not a file name" in peak(read_text, tmp_path / "a\0b.csv")[1]
+    assert ":2: more than 131072 characters" in peak(read_table, tmp_path / "robot.csv")[1]
+    assert "not a file name" in peak(read_table, tmp_path / "a\0b.csv")[1]
 
 
 @pytest.mark.parametrize("many", [100, 1 << 17])

@@ -4,13 +4,11 @@ docs/results-files.md lists the columns. A triangle of a covariance is the lower
 translation first; without a header T = T_mean Exp(xi), in the body's axes. `#%KEY value` lines declare the tangent.
 """
 
-import csv
 import math
 import re
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
-from pathlib import Path
 
 import numpy as np
 import scipy
@@ -19,11 +17,11 @@ from data.columns.named import STAMP
 from data.csv_table import cut_off, is_number, symmetric
 from data.earth import placed
 from data.errors import LARGEST, DataError, UsageError
-from data.formats.arrays import ELEMENT, columns_of, is_arrays
-from data.formats.messages import cut_end, kinds_of, read_lines, runs_of
-from data.formats.recordings.ros import file_and_topic, table_of
+from data.formats.arrays import is_arrays
+from data.formats.messages import kinds_of, runs_of
 from data.formats.results import path as paths
 from data.formats.results.space import UNIT, known_only, on_plane, rotations, translation_first
+from data.formats.text import Text, read_text
 from data.se2 import Array
 
 POSE = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -44,93 +42,33 @@ LAYOUTS = {  # Places in a row of the upper three rows of a 4 x 4 pose
 }  # fmt: skip
 HEIGHTS = ((1, 0), (4, 0), (4, 1), (3, 0), (3, 1))  # Lines of a pose, and above it: of its stamp, or of other numbers
 COLMAP = "images by name; their poses, of the world in the camera, are inverted (`--axes` with robot: as written)"
-CELLS = r"[\[(][^\[\]()]*[\])]|(?<=\d) sec(?=[,;])"  # That are lists; unit of stamps of MATLAB's timetables
 LISTS = (
     ("(p|t|pos|position|trans|translation|loc|location|xyz)s?", ("x", "y"), POSE[1:4]),
     ("(q|quat|quaternion|rot|rotation|orientation)s?", POSE[4:]), ("(pose|state)s?", ("x", "y", "theta"), POSE[1:]),
 )  # fmt: skip
 """Last words of names NAME_1, NAME_2, ..., and what as many columns are."""
-RTKLIB = r"%\s+(GPST|UTC|JST)\s+latitude\(deg\)"  # The comment that names the columns of its solutions
 ABOUT_Z = 0.3  # Largest part about x and y of quaternions of what is nearly upright: tilted by 35 deg
 EUROC = ("t", "x", "y", "z", "qw", "qx", "qy", "qz")
 
 
-@dataclass(frozen=True)
-class Text:
-    """Data lines, split into fields, with numbers from 1; comments, and `#%KEY value` lines by key with numbers."""
-
-    path: Path
-    fields: tuple[tuple[str, ...], ...]
-    line: tuple[int, ...]
-    comments: tuple[tuple[int, str], ...]
-    commas: bool
-    header: dict[str, tuple[int, str]]
-    cut: str = ""  # what is said of a last row that is left out
-
-    def place(self, row: int) -> str:
-        """Place of a row, for messages."""
-        return f"{self.path}:{self.line[row]}"
-
-    def one_of(self, key: str, allowed: Collection[str]) -> str | None:
-        """A value of the header that must be one of a few; None if absent."""
-        if key not in self.header:
-            return None
-        line, value = self.header[key]
-        if value not in allowed:
-            raise DataError.at(self.path, f"{key} {value!r}; one of {', '.join(allowed)} is needed", line=line)
-        return value
-
-    def said(self, key: str) -> str:
-        """A value of the header; empty if absent."""
-        return self.header.get(key, (0, ""))[1]
-
-
-def split(line: str, separator: str | None) -> tuple[str, ...]:
-    """Fields of a line; None: at blanks."""
-    if separator is None:
-        return tuple(line.split())
-    read = csv.reader([line], delimiter=separator, skipinitialspace=True)
-    return tuple(
-        f.strip() for f in (next(read) if '"' in line and len(line) < csv.field_size_limit() else line.split(separator))
-    )
-
-
-def read_text(path: Path) -> Text:
-    """Split a file at commas or semicolons if its first data line has any, else at blanks; `#`, `%` begin comments."""
-    bag, topic = file_and_topic(str(path))
-    if topic is not None or is_arrays(path):
-        names, rows = columns_of(path) if topic is None else table_of(bag, topic)
-        if ELEMENT in names:  # rows below hold what is within an object
-            rows = tuple(row for row in rows if not row[names.index(ELEMENT)])
-        return Text(path, (names, *rows), tuple(range(len(rows) + 1)), (), True, {})
-    read, word, title = read_lines(path)
-    lines = [(i, line.strip()) for i, line in read]
-    comments = tuple((i, line) for i, line in lines if line.startswith(("#", "%")))
-    data = [(i, line) for i, line in lines if line and not line.startswith(("#", "%"))]
-    if not data:
-        raise DataError.at(path, f"no line of data{f' of {word}' * bool(word)}; at least one is needed")
-    separator = next((s for s in (";", ",") if s in data[0][1]), None)  # beside it a comma is of decimals
-    data = [(i, re.sub(CELLS, lambda cell: cell[0].replace(",", " ").replace(" sec", ""), line)) for i, line in data]
-    commas = separator == ";" and not any("." in line for _, line in data)  # of decimals
-    fields = tuple(split(line.replace(",", ".") if commas else line, separator) for _, line in data)
-    ended = fields[0][-1] == "" or len(fields[0]) < len(fields[-1])  # a last column with a name may be blank
-    if separator is not None and ended and all(f[-1] == "" for f in fields[1:] or fields):  # a comma ends every line
-        fields = tuple(f[:-1] if f[-1] == "" else f for f in fields)
-    if cut := cut_end(fields, data[-1][0]):
-        fields, data = fields[:-1], data[:-1]
-    if titles := next((c.lstrip("% ").split() for _, c in comments if re.match(RTKLIB, c)), None):
-        dated = "/" in fields[0][0]  # else the week, and its seconds
-        fields = tuple((" ".join(row[:2]) if dated else row[1], *row[2:]) for row in fields)
-        fields, data = (("time", *titles[1:]), *fields), [(0, ""), *data]
+def declared(text: Text) -> dict[str, tuple[int, str]]:
+    """Values of the lines `#%KEY value` by key, with the numbers of these lines."""
     header: dict[str, tuple[int, str]] = {}
-    for number, comment in comments:
+    for number, comment in text.comments:
         if comment.startswith("#%"):
             key, _, value = comment[2:].strip().partition(" ")
             if key.upper() in header:
-                raise DataError.at(path, f"{key} is stated twice; once is needed", line=number)
+                raise DataError.at(text.path, f"{key} is stated twice; once is needed", line=number)
             header[key.upper()] = number, value.strip()
-    cut = "; ".join(filter(None, (title, cut)))
-    return Text(path, fields, tuple(i for i, _ in data), comments, separator is not None, header, cut)
+    return header
+
+
+def _one_of(text: Text, key: str, allowed: Collection[str]) -> str | None:
+    """A value of the header that must be one of a few; None if absent."""
+    line, value = declared(text).get(key, (0, None))
+    if value is not None and value not in allowed:
+        raise DataError.at(text.path, f"{key} {value!r}; one of {', '.join(allowed)} is needed", line=line)
+    return value
 
 
 def layout_of(rows: Sequence[Sequence[str]]) -> str:
@@ -170,7 +108,7 @@ def in_rows(text: Text, *, named: bool) -> Text:
         first = [re.sub("[^a-z]", "", name.lower()) not in STAMP for name in text.fields[0]]  # stamps before poses
         order = [j for j in np.argsort(first, kind="stable") if text.fields[-1][j]]  # no single numbers beside them
         below = tuple(tuple(row[j] for j in order) for row in text.fields[1:])
-        text = replace(text, fields=below, line=text.line[1:], commas=False)
+        text = replace(text, fields=below, line=text.line[1:], separator=" ")
     rows = text.fields
     for high, above in HEIGHTS if len(rows[-1]) in (4, 12, 13, 16, 17) else ():
         size = high + above
@@ -184,7 +122,7 @@ def in_rows(text: Text, *, named: bool) -> Text:
                 said = "; ".join(
                     filter(None, (text.cut, f"inferred: each pose is a matrix, {how}" * (how != "by rows")))
                 )
-                return replace(text, fields=fields, line=text.line[::size], commas=False, cut=said)
+                return replace(text, fields=fields, line=text.line[::size], separator=" ", cut=said)
     return text
 
 
@@ -276,7 +214,7 @@ def _plain(text: Text, k: int) -> Array | None:
 
 def tangent(text: Text) -> tuple[str | None, str | None]:
     """Frame and order (`COV_ORDERS`) that a header declares."""
-    convention, order = text.one_of("TANGENT_CONVENTION", CONVENTIONS), text.one_of("TANGENT_ORDER", ORDERS)
+    convention, order = _one_of(text, "TANGENT_CONVENTION", CONVENTIONS), _one_of(text, "TANGENT_ORDER", ORDERS)
     return None if convention is None else CONVENTIONS[convention], None if order is None else ORDERS[order]
 
 
@@ -304,20 +242,22 @@ def read_tum(text: Text, manner: paths.Manner) -> paths.GivenPath:
 
 def read_square(text: Text, manner: paths.Manner) -> paths.GivenPath:
     """A SQUARE file."""
-    line, version = text.header["FORMAT"]
+    header = declared(text)
+    line, version = header["FORMAT"]
     if not version.startswith("SQUARE/"):
         raise DataError.at(text.path, f"FORMAT {version!r}; SQUARE/0.3 is needed", line=line)
-    what = text.one_of("REPRESENTATION", (GAUSSIAN, DETERMINISTIC))
+    what = _one_of(text, "REPRESENTATION", (GAUSSIAN, DETERMINISTIC))
     if what is None:
         raise DataError.at(text.path, f"the header lacks REPRESENTATION ({GAUSSIAN} or {DETERMINISTIC})", line=line)
-    unit = UNITS[text.one_of("TIMESTAMP_UNIT", UNITS) or "seconds"]
-    stated = paths.Stated(text.said("POSE_FRAME"), text.said("BODY_FRAME"))
+    unit = UNITS[_one_of(text, "TIMESTAMP_UNIT", UNITS) or "seconds"]
+    world, body = (header.get(key, (0, ""))[1] for key in ("POSE_FRAME", "BODY_FRAME"))
+    stated = paths.Stated(world, body)
     bare = what == DETERMINISTIC
     for key, found in zip(("TANGENT_CONVENTION", "TANGENT_ORDER"), tangent(text), strict=True):
         if found is None and not bare:
             raise DataError.at(text.path, f"the header lacks {key}; {GAUSSIAN} needs it", line=line)
     if not bare:
-        text.one_of("ROTATION_PARAM", ("axis_angle",))
+        _one_of(text, "ROTATION_PARAM", ("axis_angle",))
     rows = numbers(text, POSE if bare else (*POSE, *TRIANGLE), huge=POSE[:1])
     C = None if bare else symmetric(rows[:, 8:], lower=True)
     at = times_of(text, rows[:, 0], manner, unit=unit)

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import chain, pairwise, product
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -19,15 +18,15 @@ from data.csv_table import ends_early, is_number, symmetric
 from data.dates import EXAMPLE, IN_SECONDS, ISO, is_date, seconds_of, unit_of
 from data.earth import on_plane, placed
 from data.errors import DataError, UsageError, did_you_mean
-from data.formats.messages import kinds_of, parts_of, runs_of, whole_names
+from data.formats.messages import kinds_of, runs_of, whole_names
 from data.formats.recordings.ros import file_and_topic, is_bag
 from data.formats.results import lines, path as paths
 from data.formats.results.bags import is_table, read_bag
-from data.formats.results.lines import BLOCKS, ENTRIES, ENTRIES_6, EUROC, POSE, TRIANGLE, UNSTAMPED, Text
+from data.formats.results.lines import BLOCKS, ENTRIES, ENTRIES_6, EUROC, POSE, TRIANGLE, UNSTAMPED
 from data.formats.results.path import ABSENT, DATES, DIGITS, LOCAL, MIXED, ROWS, WORLD, GivenPath, Manner, Stated
 from data.formats.results.space import UNIT, full, known_only, require_covariances
+from data.formats.text import Text, is_row, read_text, split
 from data.formats.wrapped import file_and_word
-from data.inputs import IntArray
 from data.questions.examination import in_degrees
 from data.se2 import Array, wrap_angle
 from data.terminal import counted
@@ -87,13 +86,13 @@ def header_names(text: Text, manner: Manner) -> Columns | None:
     field, or mostly columns. DataError if it contradicts the data.
     """
     first = text.fields[0]
-    if 2 * sum(is_number(f) for f in first) < len(first):
+    if not is_row(first):
         return _columns(text, whole_names(first, text.fields[1:]), text.line[0], manner, in_data=True)
-    width, separators = len(first), (",", ";") if text.commas else (None, ",")
+    width, separators = len(first), (text.separator or ",", *((",", ";") if text.commas else (" ", ",")))
     for line, comment in reversed([c for c in text.comments if c[0] < text.line[0] and not c[1].startswith("#%")]):
         for separator in separators:
             bare = comment.lstrip("#% ")  # `tx [m]` is one name
-            names = lines.split(bare if separator else re.sub(r"\s+(?=[\[(])", "", bare), separator)
+            (names,) = split([re.sub(r"\s+(?=[\[(])", "", bare) if separator == " " else bare], separator)
             names = names[names[0].endswith(":") :] if names else names  # "Format: timestamp tx"
             if len(names) < 3 or any(set(n) <= {"."} for n in names):
                 continue
@@ -459,7 +458,7 @@ def _values(body: Text, columns: Columns) -> dict[str, Array]:
     wide = not columns.in_data and len(body.fields[0]) == columns.named + len(TRIANGLE)
     place = columns.place | {c: columns.named + k for k, c in enumerate(TRIANGLE) if wide}
     read = 1 + max(columns.place.values())
-    early = ends_early(map(len, body.fields), columns.named, read) if body.commas else set()
+    early = ends_early(map(len, body.fields), columns.named, read) if body.separator != " " else set()
     for line, fields in zip(body.line, body.fields, strict=True):
         if len(fields) in early:
             continue
@@ -612,66 +611,6 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
     return found
 
 
-class Side(NamedTuple):
-    """Names of the columns, rows without those, and whether a header has the names, of one file of several."""
-
-    path: Path
-    names: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    named: bool
-
-
-def side_by_side(path: Path, sides: Sequence[Side]) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], str]:
-    """Names and rows of files side by side, each row of the first with those nearest in time where all have stamps of
-    their own, which is said; columns without names have those of their file. DataError for unequal numbers of rows.
-    """
-    stamps = [[k for k, name in enumerate(s.names) if s.named and {*words_of(name)[0]} & {*STAMP}] for s in sides]
-    stamps = [[k for k in own if "header" in s.names[k]] or own for s, own in zip(sides, stamps, strict=True)]
-    texts = [[row[k] for row in s.rows] for s, own in zip(sides, stamps, strict=True) for k in own[: len(own) < 2]]
-    near = [np.arange(len(s.rows)) for s in sides]
-    apart = len(texts) == len(sides) and any(own != texts[0] for own in texts) and all(map(is_number, chain(*texts)))
-    times = [np.array(own, float) for own in texts] if apart else []
-    if apart := apart and all((np.diff(time) >= 0.0).all() for time in times):
-        near[1:] = [_nearest(time, times[0]) for time in times[1:]]
-    elif len({*map(len, near)}) > 1:
-        what = f"files of unequal numbers of rows ({', '.join(f'{s.path.name} {len(s.rows)}' for s in sides)})"
-        raise DataError.at(path, f"{what}; as many in each are needed, or a column of stamps")
-    held = dict[tuple[str, tuple[str, ...]], None]()  # the same stamps once
-    for side, own, rows in zip(sides, stamps, near, strict=True):
-        for j, name in enumerate(side.names):
-            stem = side.path.stem + name * (len(side.names) > 1)
-            column = tuple(side.rows[k][j] if k >= 0 else "" for k in rows.tolist())
-            if side is sides[0] or not apart or j not in own:
-                held[name if side.named and not name.isdecimal() else stem, column] = None
-    others = ", ".join(s.path.name for s in sides[1:])
-    said = f"beside each row of {sides[0].path.name} those of {others} nearest in time" * apart
-    return tuple(name for name, _ in held), tuple(zip(*(column for _, column in held), strict=True)), said
-
-
-def _nearest(time: Array, at: Array) -> IntArray:
-    """The rows of ascending stamps (n,) nearest to others (m,); -1 for those more than a usual step outside."""
-    near = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
-    near -= at - time[near - 1] < time[near] - at
-    step = np.median(np.diff(time, prepend=time[0]))
-    return np.where((time[0] - step <= at) & (at <= time[-1] + step), near, -1)
-
-
-def read_text(path: Path) -> Text:
-    """The rows of a file, or of those of FIRST+SECOND+... side by side, below their names."""
-    if path.is_dir() or len(parts := parts_of(path)) < 2:
-        return lines.read_text(path)
-    texts, sides = [lines.read_text(part) for part in parts], list[Side]()
-    for text in texts:
-        rows, above = text.fields, [line.strip("#% ") for k, line in text.comments if k < text.line[0]][-1:]
-        heads = [rows[0], *(lines.split(line, "," * text.commas or None) for line in above)]
-        head = next((n for n in heads if 2 * sum(map(is_number, n)) < len(n) == len(rows[0])), ())
-        rows = rows[1:] if head == rows[0] else rows
-        sides.append(Side(text.path, head or [str(k + 1) for k in range(len(rows[0]))], rows, bool(head)))
-    names, below, said = side_by_side(path, sides)
-    line = (texts[0].line[0], *texts[0].line[-len(below) :])
-    return Text(path, (names, *below), line, (), True, {}, "; ".join(filter(None, (said, *(t.cut for t in texts)))))
-
-
 def _without_words(text: Text, manner: Manner) -> Text:
     """The text without a word before each pose of KITTI or TUM, which is said; any other as it is."""
     body, words = replace(text, fields=tuple(row[1:] for row in text.fields)), {row[0] for row in text.fields}
@@ -685,7 +624,7 @@ def _without_words(text: Text, manner: Manner) -> Text:
 
 
 def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:
-    if "FORMAT" in text.header:
+    if "FORMAT" in lines.declared(text):
         return lines.read_square
     first = text.fields[0]
     columns = header_names(text, manner)

@@ -1,11 +1,8 @@
-"""CSV files of other programs: their text, columns (`--columns t=stamp,truth.x=px`), and units.
+"""Columns of tables of other programs: their names (`--columns t=stamp,truth.x=px`), what these tell, and their units.
 
-Comma, semicolon, tab, bar or spaces, with or without a header, which may have a title above it. Lines that start with
-`#` or `%` are comments; the last one above the first row is the header if its number of fields fits. Fields may be
-quoted; they stay text until a column is read in SI units (`--unit angle=deg,time=ns,v=km/h`).
+Fields stay text until a column is read in SI units (`--unit angle=deg,time=ns,v=km/h`).
 """
 
-import csv
 import itertools
 import math
 import re
@@ -13,31 +10,28 @@ import tomllib
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, partial
+from functools import cache
 from itertools import groupby
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 
-from data.columns.named import LENGTH, STAMP, unused
-from data.csv_table import Table, cut_off, ends_early, is_number
-from data.dates import DATES, DMY, EXAMPLE, MDY, is_date, seconds_of, unit_of, whole_dates
+from data.columns.named import LENGTH, is_stamp, unused
+from data.csv_table import Table, is_number
+from data.dates import DATES, DMY, MDY, is_date, unit_of
 from data.earth import on_plane, placed
 from data.errors import DataError, UsageError, did_you_mean, unknown
-from data.formats.arrays import ELEMENT, WIDE, columns_of, is_arrays, solids
-from data.formats.messages import LISTED, cut_end, kinds_of, parts_of, read_lines, whole_names
-from data.formats.recordings.ros import file_and_topic, is_bag, table_of
-from data.formats.results.reading import RATES, Side, role_of, side_by_side, topics_in, words_of
-from data.inputs import IntArray
+from data.formats.arrays import ELEMENT, is_arrays, solids
+from data.formats.messages import kinds_of, read_lines
+from data.formats.results.reading import RATES, role_of, topics_in, words_of
+from data.formats.text import COMMENT, SLOTS, TextTable
 from data.notice import Notice
 from data.origin import Origin
 from data.questions.examination import heading_unit, in_degrees
 from data.se2 import Array, BoolArray
 from data.terminal import counted
 
-SEPARATORS = (";", "\t", ",", "|", " ")  # In this order: a decimal comma is no separator beside a semicolon or a tab
-COMMENT = ("#", "%")
 NAMED = 12  # Most columns of a matrix of which each has a meaning
 NAMES_SHOWN = 200  # Most characters of a header in a message
 
@@ -47,315 +41,37 @@ def stem_of(name: str) -> str:
     return name.rstrip("0123456789")
 
 
-@dataclass(frozen=True, eq=False)
-class TextTable:
-    """Rows of stripped fields without quotes, of equal length."""
-
-    path: Path
-    names: tuple[str, ...]  # of the columns, "1", "2", ... without a header
-    rows: tuple[tuple[str, ...], ...]
-    line: IntArray  # (K,) of each row
-    named: bool  # with a header
-    decimal_comma: bool = False  # numbers are written 1,5
-    cut: str = ""  # what is said of rows that are left out, or end before the header
-    steps: int = 0  # rows of which each has any number of observations, one for each row of the odometry
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    def find(self, name: str) -> int | None:
-        """Index of the column of that name, or number counted from 1; None without one, DataError for several."""
-        name = name if name in self.names else name.lstrip("".join(COMMENT))  # of a header that is a comment
-        if name in self.names:
-            several = [str(k + 1) for k, other in enumerate(self.names) if other == name]
-            if len(several) > 1 and any(len({row[int(k) - 1] for k in several}) > 1 for row in self.rows):
-                what = f"columns {' and '.join(several)} are named {name!r}; name one by its number, as in"
-                raise DataError.at(self.path, f"{what} --columns KEY={several[0]}")
-            return self.names.index(name)
-        if len(listed := [k for k, own in enumerate(self.names) if own.startswith(f"{name}_")]) > NAMED:
-            return listed[0]  # the first of a matrix, or of lists
-        if name.isdecimal() and 1 <= int(name) <= len(self.names):
-            return int(name) - 1
-        alike = [k for k, own in enumerate(self.names) if self.named and words_of(own)[0] == words_of(name)[0] != []]
-        return alike[0] if len(alike) == 1 else None  # but for its unit, and capitals
-
-    def described(self) -> str:
-        """The columns in a message."""
-        if not self.named:
-            return f"columns 1 to {len(self.names)}, without names{kinds_of(self.path, self.rows)}"
-        if len(topics := [topic for topic in topics_in(self.names) if topic.startswith("/")]) > 1:
-            return f"topics {', '.join(topics)}, as in {self.path}:{topics[0]}"
-        parts = []
-        for rows, names in (self.series() or {0: [name for name in self.names if name]}).items():
-            runs = [list(run) for _, run in groupby(names, key=stem_of)]
-            listed = ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 3 else ", ".join(run) for run in runs)
-            parts.append(listed + f" ({rows} rows)" * bool(rows))
-        text = "; ".join(parts)
-        text = text if len(text) <= NAMES_SHOWN else text[:NAMES_SHOWN] + " ..."
-        return "; ".join(["columns " + text, *(solids(self.path) if is_arrays(self.path) else [])])
-
-    def series(self) -> dict[int, list[str]]:
-        """Names by number of rows, of arrays that begin in the first row and end in different ones; else none."""
-        columns = list(zip(*self.rows, strict=True)) if is_arrays(self.path) and all(self.rows[0]) else []
-        found: dict[int, list[str]] = {}
-        for name, column in zip(self.names, columns, strict=False):
-            found.setdefault(column.index("") if "" in column else len(column), []).append(name)
-        return found if len(found) > 1 else {}
-
-    def beside(self, name: str, number: IntArray) -> Self:
-        """With one more column, of a number (K,) for each row."""
-        rows = tuple((*row, str(k)) for row, k in zip(self.rows, number.tolist(), strict=True))
-        return replace(self, names=(*self.names, name), rows=rows)
-
-    @cached_property
-    def filled(self) -> tuple[int, ...]:
-        """The columns with a field that is not blank."""
-        return tuple(k for k in range(len(self.names)) if any(row[k] for row in self.rows))
-
-    def text(self, column: int, keep: BoolArray) -> list[str]:
-        """The fields of a column in the rows to keep (K,)."""
-        return [row[column] for row, wanted in zip(self.rows, keep.tolist(), strict=True) if wanted]
-
-    def numbers(self, column: int, keep: BoolArray, dates: str = "") -> Array:
-        """A column as numbers, NaN where blank; `dates`: unit of dates, in s since 1970. DataError if invalid."""
-        parse = partial(seconds_of, unit=dates) if dates else partial(_number, comma=self.decimal_comma)
-        values = np.full(int(keep.sum()), np.nan)
-        for k, text in enumerate(self.text(column, keep)):
-            try:
-                values[k] = parse(text) if text else np.nan
-            except ValueError:
-                what = f"a date as in {EXAMPLE} (or as --unit t={DMY}, {MDY} say)" if dates else "a number"
-                line, name = int(self.line[keep][k]), self.names[column]
-                raise DataError.at(self.path, f"{text!r} is not {what}", line=line, column=name) from None
-        return values
+def column_of(file: TextTable, name: str) -> int | None:
+    """Index of the column of that name, or number counted from 1; None without one, DataError for several."""
+    name = name if name in file.names else name.lstrip("".join(COMMENT))  # of a header that is a comment
+    if name in file.names:
+        several = [str(k + 1) for k, other in enumerate(file.names) if other == name]
+        if len(several) > 1 and any(len({row[int(k) - 1] for k in several}) > 1 for row in file.rows):
+            what = f"columns {' and '.join(several)} are named {name!r}; name one by its number, as in"
+            raise DataError.at(file.path, f"{what} --columns KEY={several[0]}")
+        return file.names.index(name)
+    if len(listed := [k for k, own in enumerate(file.names) if own.startswith(f"{name}_")]) > NAMED:
+        return listed[0]  # the first of a matrix, or of lists
+    if name.isdecimal() and 1 <= int(name) <= len(file.names):
+        return int(name) - 1
+    alike = [k for k, own in enumerate(file.names) if file.named and words_of(own)[0] == words_of(name)[0] != []]
+    return alike[0] if len(alike) == 1 else None  # but for its unit, and capitals
 
 
-def _number(field: str, *, comma: bool = False) -> float:
-    value = float(field.replace(",", ".") if comma else field)
-    if "_" in field or math.isinf(value):  # Python reads 1_0 as ten
-        raise ValueError
-    return value
-
-
-def _is_row(fields: Sequence[str]) -> bool:
-    """Whether at least half of a line's non-blank fields are numbers or dates."""
-    filled = [f for f in fields if f]
-    return bool(filled) and 2 * sum(is_number(f.replace(",", ".")) or is_date(f) for f in filled) >= len(filled)
-
-
-def _split(lines: Sequence[str], separator: str) -> list[tuple[str, ...]]:
-    """Fields of each line."""
-    if separator == " ":
-        return [tuple(line.replace('"', " ").split()) for line in lines]
-    return [tuple(f.strip() for f in row) for row in csv.reader(lines, delimiter=separator, skipinitialspace=True)]
-
-
-def _separator(lines: Sequence[str]) -> str:
-    """The first that cuts the first lines into equal numbers of fields, more than one; else a comma."""
-    for separator in SEPARATORS:
-        # a header may hold any character, so the rows below it decide
-        counts = {len(row) for row in _split(lines[1:] or lines, separator)}
-        if len(counts) == 1 and counts.pop() > 1:
-            # tabs beside spaces: both separate, if that leaves numbers
-            apart = _split(lines[1:] or lines, " ") if separator == "\t" else []
-            mixed = len({len(row) for row in apart}) == 1 and all(map(_is_row, apart))
-            return " " if mixed and any(" " in line for line in lines[1:] or lines) else separator
-    held = [s for s in SEPARATORS if 2 * sum(s in line for line in lines) > len(lines)]
-    return held[0] if held else ","
-
-
-def read_text(path: Path, stated: Collection[str] = (), odometry: int = 0, *, seen: bool = False) -> TextTable:
-    """A file's rows, or DataError. `stated`: names of columns; `odometry`: its rows; `seen`: each may have several."""
-    bag, topic = file_and_topic(str(path))
-    if topic is None and is_bag(bag):
-        what = f"type slamref convert bag {bag} --list; a topic is a table: slamref convert table {bag}:/TOPIC LOG"
-        raise DataError.at(path, f"a ROS bag; {what}")
-    if len(parts := parts_of(path)) > 1:
-        return _joined(path, parts)
-    if topic is not None:
-        columns, messages = table_of(bag, topic)
-        return TextTable(path, columns, tuple(messages), np.arange(1, len(messages) + 1), named=True)
-    if is_arrays(path):
-        columns, values = columns_of(path, stated, odometry)
-        return TextTable(path, columns, values, np.arange(1, len(values) + 1), named=True)
-    lines, word, title = read_lines(path)
-    if long := next((i for i, line in lines if len(line) > csv.field_size_limit()), None):
-        raise DataError.at(path, f"more than {csv.field_size_limit()} characters", line=long)
-    numbered = [(i, line) for i, line in lines if line.strip(" ;,|")]
-    plain = [(i, line.replace(",\t", ",")) for i, line in numbered if not line.lstrip().startswith(COMMENT)]
-    if not plain:
-        raise DataError.at(path, f"no rows{f' of {word}' * bool(word)}; at least one is needed")
-    separator = _separator([line for _, line in plain[:50]])
-    rows = _split([line for _, line in plain], separator)
-    if len(rows) != len(plain):
-        line = next((i for i, line in plain if line.count('"') % 2), plain[0][0])
-        raise DataError.at(path, "a quote that is not closed within its line", line=line)
-    number = np.array([i for i, _ in plain], np.int64)
-    every = np.array([i for i, line in lines if not line.lstrip().startswith(COMMENT)])
-    names: tuple[str, ...] | None = None
-    if seen and (found := _by_rows(rows, np.searchsorted(every, number).tolist(), len(every), odometry)):
-        names, rows, row_of = found
-        cut = "inferred: a row for each of the odometry, of any number of observations of columns "
-        cut += ",".join(names[:-1])
-        return TextTable(path, names, tuple(rows), number[row_of], named=True, cut=cut, steps=len(every))
-    if not _is_row(rows[0]):
-        names, rows, number = rows[0], rows[1:], number[1:]
-    else:
-        above = [line.lstrip().lstrip("#%").strip() for i, line in numbered if i < number[0]]
-        candidate = _split(above[-1:], separator)
-        if candidate and len(candidate[0]) in (len(rows[0]), len(rows[0]) - (not rows[0][-1])):
-            names = candidate[0]
-    if not rows:
-        raise DataError.at(path, "a header and no rows; at least one is needed")
-    if all(len(r) > 1 and not r[-1] for r in rows) and (names is None or len(names) < len(rows[0]) or not names[-1]):
-        rows = [row[:-1] for row in rows]  # a separator ends every line
-        names = names[:-1] if names and not names[-1] else names
-    said = [title]
-    if cut := cut_end(rows, int(number[-1])):
-        rows, number, said = rows[:-1], number[:-1], [title, cut]
-    rows = _uncounted(rows) if names is None else rows
-    if each := _each(rows) if names is None else 0:
-        number = np.repeat(number, [len(row) // each for row in rows])
-        rows = [(row[0], *row[k : k + each]) for row in rows for k in range(1, len(row), each)]
-        said.append(f"inferred: a row is a stamp and any number of observations of {each} numbers each")
-    if names and len(names) + SLOTS < len(rows[0]):
-        names = names if names[-1] else names[:-1]
-        if len(listed := [n for n in names if n in LISTED]) == 1:  # one name for all of a list
-            at, count = names.index(listed[0]), len(rows[0]) - len(names) + 1
-            names = (*names[:at], *(f"{listed[0]}_{k}" for k in range(1, count + 1)), *names[at + 1 :])
-    width = len(rows[0]) if names is None else len(names)
-    early = ends_early(map(len, rows), width, 1) if names is not None and separator != " " else set()
-    if early:
-        many = f"{sum(len(row) in early for row in rows)} of {len(rows)}"
-        said.append(f"{many} rows end before the header does: their last columns are blank")
-    rows = [row + ("",) * (width - len(row)) if len(row) in early else row for row in rows]
-    for row, line in zip(rows, number.tolist(), strict=True):
-        if len(row) != width:
-            last = cut_off(len(row), width, last=line == number[-1])
-            ragged = "; is it one observation after the other? a row for each is needed, of points of a scan its ranges"
-            if width > WIDE[1]:
-                ragged = "; of scans as many ranges in each row are needed, blank or 0 where nothing returned"
-            several = kinds_of(path, rows) or ragged * (len(set(map(len, rows))) > 2)
-            raise DataError.at(path, f"{len(row)} fields where {width} are needed{last or several}", line=line)
-    names, rows, number = _lists(names, whole_dates(rows), number)
-    width = len(rows[0])
-    points = any("." in f and is_number(f) for row in rows[:1000] for f in row)
-    comma = separator in ";\t| " and any("," in f for row in rows for f in row) and not points
-    shown = list(whole_names(names, rows)) if names is not None else [str(k + 1) for k in range(width)]
-    seconds = ((k, m[1]) for k, name in enumerate(shown) if (m := re.fullmatch(r"(.*?[._]?)secs?", name)))
-    for k, stem in [*seconds]:  # and nanoseconds of a stamp
-        j = next((shown.index(n) for end in NANOSECONDS if (n := stem + end) in shown), None)
-        if j is not None and all(r[j].isdecimal() and r[k].lstrip("-").isdecimal() for r in rows):
-            rows = [(*r[:k], f"{r[k]}.{int(r[j]):09d}", *r[k + 1 :]) for r in rows]
-            shown[k] = stem[:-1] if stem.endswith(".") else shown[k]
-    for both in {name for name in stated if "+" in name and {*name.split("+")} <= {*shown}}:  # seconds and nanoseconds
-        j, k = (shown.index(part) for part in both.split("+"))
-        small = next((n for n, unit in FRACTIONS.items() if re.fullmatch(rf"(.*[^a-z])?({unit})", shown[k], re.I)), 9)
-        rows, shown = [(*r, f"{r[j]}.{r[k]:0>{small}}" if r[j] and r[k] else "") for r in rows], [*shown, both]
-    cut = "; ".join(filter(None, said))
-    return TextTable(path, tuple(shown), tuple(rows), number, names is not None, comma, cut)
-
-
-NANOSECONDS = ("nsecs", "nsec", "nanosec", "nanosecs")
-FRACTIONS = {6: "us|usecs?|micro.*", 3: "ms|msecs?|milli.*"}
-"""Digits of the second column of a stamp that is stated as SEC+REST, by its name; else nanoseconds."""
-
-
-def _lists(
-    names: tuple[str, ...] | None, rows: list[tuple[str, ...]], number: IntArray
-) -> tuple[tuple[str, ...] | None, list[tuple[str, ...]], IntArray]:
-    """Lists in fields as columns NAME_1, NAME_2, ...; lists of unequal lengths, or of groups, as rows below."""
-    count, below = len(rows), dict[tuple[int, ...], list[int]]()  # rows below by how many each row has
-    for j in reversed(range(len(rows[0]))):
-        pattern = r"[\[({]|\d;|\d\s+[-+.\d]"
-        if not any(re.search(pattern, row[j]) and not is_date(row[j]) for row in rows[: min(MANY, count)]):
-            continue
-        fields = [re.sub(r"np\.\w+\(([^()]*)\)|array", r"\1", row[j]) for row in rows[:count]]
-        groups = [re.findall(r"[\[({]([^\[\](){}]+)[\])}]", f) or f.strip("[](){}").split(";") for f in fields]
-        parts = [[re.split(r"[\s,:]+", g.strip(" ,")) for g in some if g.strip(" ,")] for some in groups]
-        if max(map(len, parts)) == 1 and len({len(some[0]) for some in parts if some}) > 1:  # numbers of each in a row
-            parts = [[[number] for number in some[0]] if some else [] for some in parts]
-        counts, most = {len(part) for some in parts for part in some}, max(map(len, parts))
-        if len(counts) != 1 or not all(is_number(v) for some in parts for part in some for v in part):
-            continue
-        if (width := counts.pop()) == 1 and most == 1:
-            continue
-        shape, stem, blank = tuple(map(len, parts)), names[j] if names else str(j + 1), [("",) * width]
-        if most > 1 and shape not in below:
-            below[shape] = [len(rows) + k for k in range(sum(shape))]
-            stamps = {c for c, name in enumerate(names or ()) if {*words_of(name)[0]} & {*STAMP}}
-            rows = [(*row, "") for row in rows]
-            each = ((k, rows[k]) for k, some in enumerate(parts) for _ in some)
-            rows += [(*(f if c in stamps else "" for c, f in enumerate(row[:-1])), str(k)) for k, row in each]
-            number = np.concatenate([number, np.repeat(number[:count], shape)])
-            names = (*names, f"{stem}.{ELEMENT}") if names else None
-        put = [*([tuple(some[0])] if some else blank for some in parts)] if most == 1 else [blank] * count
-        own = [*(part[0] for part in put), *blank * (len(rows) - count)]
-        for k, part in zip(below[shape], (p for some in parts for p in some), strict=True) if most > 1 else ():
-            own[k] = tuple(part)
-        rows = [(*row[:j], *part, *row[j + 1 :]) for row, part in zip(rows, own, strict=True)]
-        named = [f"{stem}_{k}" for k in range(1, width + 1)] if width > 1 else [stem]
-        names = (*names[:j], *named, *names[j + 1 :]) if names else None
-    return names, rows, number
-
-
-MANY = 50  # First rows, of which one shows whether a column holds lists
-
-
-def _uncounted(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Rows without their second number, where it says how many groups of two or three numbers follow in each."""
-    several = len({*map(len, rows)}) > 1 and all(len(row) > 1 and is_number(row[1]) for row in rows)
-    counted = (all(len(row) - 2 == each * float(row[1]) for row in rows) for each in (2, 3))
-    return [(row[0], *row[2:]) for row in rows] if several and any(counted) else rows
-
-
-def _each(rows: Sequence[Sequence[str]]) -> int:
-    """How many numbers each observation has, in rows of three or more lengths behind stamps; 0: none, unknown."""
-    count = math.gcd(*(len(row) - 1 for row in rows))
-    if count not in (2, 3) or len(set(map(len, rows))) < SLOTS or not all(map(is_number, itertools.chain(*rows))):
-        return 0
-    return count if all(float(a[0]) <= float(b[0]) for a, b in itertools.pairwise(rows)) else 0
-
-
-def _by_rows(
-    rows: Sequence[Sequence[str]], at: Sequence[int], count: int, steps: int
-) -> tuple[tuple[str, ...], list[tuple[str, ...]], list[int]] | None:
-    """Names, rows and the row before of observations, of which rows hold any number, two or three numbers each, behind
-    the same words, at positions `at` among `count` lines, one for each of the odometry's `steps`; else None.
-    """
-    rows = [row[: max((j + 1 for j, f in enumerate(row) if f), default=0)] for row in rows]
-    longest = max(rows, key=len)
-    lead = next((j for j, f in enumerate(longest) if is_number(f)), len(longest))
-    each = {2: 2, 3: 3, 4: 2}.get(math.gcd(*(len(row) - lead for row in rows)), 0)
-    alike = all(row[:lead] == longest[:lead] and all(map(is_number, row[lead:])) for row in rows)
-    unequal = len({*map(len, rows), *[lead] * (count > len(rows))}) > 1
-    if not (each and alike and unequal and at[-1] <= steps <= count):
-        return None
-    found = [(k, row[j : j + each]) for k, row in enumerate(rows) for j in range(lead, len(row), each)]
-    a, b = np.array([o[-2:] for _, o in found], float).T
-    if (np.diff([float(row[lead]) for row in rows if len(row) > lead]) >= 0.0).all():
-        return None
-    points = each == 2 and bool((a < 0.0).any() or np.abs(b).max() > math.degrees(3.0 * math.pi))
-    names = [str(k + 1) for k in range(lead + each)][: -2 if points else None] + ["x", "y"] * points
-    return (*names, "frame"), [(*longest[:lead], *o, str(at[k])) for k, o in found], [k for k, _ in found]
-
-
-def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
-    """One table of files: a folder's one below the other, numbered as `frame`, else side by side."""
-    tables = [read_text(part) for part in parts]
-    often = Counter(name for t in tables if t.named for name in t.names if not {*words_of(name)[0]} & {*STAMP})
-    tables = [
-        replace(t, names=tuple(t.path.stem if often[n] > 1 else n for n in t.names)) if len(t.names) < 3 else t
-        for t in tables
-    ]  # a column alone beside stamps is that of its file, or topic
-    if not path.is_dir():
-        names, rows, said = side_by_side(path, [Side(t.path, t.names, t.rows, t.named) for t in tables])
-        return TextTable(path, names, rows, tables[0].line, named=True, cut=said)
-    if len({len(t.names) for t in tables}) > 1:
-        raise DataError.at(path, "files of unequal numbers of columns; as many in each are needed")
-    names = ("frame", *tables[0].names)
-    rows = tuple((str(k), *row) for k, t in enumerate(tables) for row in t.rows)
-    return TextTable(path, names, rows, np.arange(1, len(rows) + 1), named=True)
+def described(file: TextTable) -> str:
+    """The columns in a message."""
+    if not file.named:
+        return f"columns 1 to {len(file.names)}, without names{kinds_of(file.path, file.rows)}"
+    if len(topics := [topic for topic in topics_in(file.names) if topic.startswith("/")]) > 1:
+        return f"topics {', '.join(topics)}, as in {file.path}:{topics[0]}"
+    parts = []
+    for rows, names in (file.series() or {0: [name for name in file.names if name]}).items():
+        runs = [list(run) for _, run in groupby(names, key=stem_of)]
+        listed = ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 3 else ", ".join(run) for run in runs)
+        parts.append(listed + f" ({rows} rows)" * bool(rows))
+    text = "; ".join(parts)
+    text = text if len(text) <= NAMES_SHOWN else text[:NAMES_SHOWN] + " ..."
+    return "; ".join(["columns " + text, *(solids(file.path) if is_arrays(file.path) else [])])
 
 
 def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
@@ -369,7 +85,7 @@ def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
             found.setdefault(star, {})[quantity] = j
     labels = {star: of for star, of in found.items() if len(of) == len(patterns)}
     if not labels:
-        raise DataError.at(file.path, f"no column {', '.join(patterns.values())}; it has {file.described()}")
+        raise DataError.at(file.path, f"no column {', '.join(patterns.values())}; it has {described(file)}")
     rest = sorted({*range(len(file.names))} - {j for of in found.values() for j in of.values()})
     far = [[_distance(row, of) for of in labels.values()] for row in file.rows]
     seen = [[k for k, distance in enumerate(each) if distance > 0.0] for each in far]
@@ -408,7 +124,6 @@ def _distance(row: Sequence[str], of: Mapping[str, int]) -> float:
     return far + 0.0 * sum(values.values())
 
 
-SLOTS = 3  # Least different numbers of filled columns, from the left always, which no landmarks in sight would make
 STARRED, IDS = ("range", "bearing", "x", "y"), ("label", "true_id")
 """Quantities of observations that may have a column for each landmark, or for each of several in a row, with ids."""
 
@@ -676,7 +391,7 @@ class Columns:
             names = {self.given.get(q, q) for q in usual} | {*stars(file).values()}
         taken = {file.names[j] for name in names for j in starred(file.names, name).values()}
         own = [(k, of) for k, of in file.series().items() if taken & {*of}]
-        stamps = [n for n in own[0][1] if {*words_of(n)[0]} & {*STAMP}] if len(own) == 1 else []
+        stamps = [n for n in own[0][1] if is_stamp(n)] if len(own) == 1 else []
         if len(stamps) == 1 and f"{role}.t" not in self.given and stamps[0] != self.given.get("t", "t"):
             times = np.array([row[file.names.index(stamps[0])] for row in file.rows[: own[0][0]]], float)
             if (np.diff(times) >= 0.0).all():
@@ -689,12 +404,12 @@ class Columns:
     def find(self, file: TextTable, role: str, quantity: str) -> int | None:
         """Index of the column of a quantity in a file, or None; DataError if its stated column is missing."""
         for key in (f"{role}.{quantity}", quantity):
-            if key in self.given and (column := file.find(self.given[key])) is not None:
+            if key in self.given and (column := column_of(file, self.given[key])) is not None:
                 self.used.add(key)
                 return self._in_unit(file, role, quantity, column, stated=True)
             if key in self.given and key != quantity:
                 near = did_you_mean(self.given[key], file.names)
-                raise DataError.at(file.path, f"no column {self.given[key]!r}{near} ({key}); it has {file.described()}")
+                raise DataError.at(file.path, f"no column {self.given[key]!r}{near} ({key}); it has {described(file)}")
         usual = (quantity.replace("theta", "yaw"), quantity)
         meant = {c: meaning(file.names[c]) for c in file.filled if file.named}
         more = (quantity, *ALSO.get(quantity, ()), *["id"] * (quantity == "label" and role not in ROLES[2:]))
@@ -703,7 +418,7 @@ class Columns:
         also = [c for c in apart if role in meant[c][0]]
         exact = file.named and quantity in file.names and (not also or (role == "odometry" and quantity in TWIST))
         if exact and (file.path, role, file.names.index(quantity)) not in self.intervals:
-            return file.find("time" if quantity == "t" and self._headings(file) else quantity)
+            return column_of(file, "time" if quantity == "t" and self._headings(file) else quantity)
         read = [c for c in meant if role not in PARTS or not meant[c][0] or role in meant[c][0]]  # of no other part
         also = also or [c for c in whole if c in read] or [c for c in apart if c in read]
         also = [c for c in also if not BESIDE & {*words_of(file.names[c])[0]}] or also
@@ -771,7 +486,7 @@ class Columns:
             column = self.find(file, role, q)
             if column is None:
                 name = self.given.get(q, q)
-                what = f"no column {name!r}{did_you_mean(name, file.names)} for {q}; it has {file.described()}"
+                what = f"no column {name!r}{did_you_mean(name, file.names)} for {q}; it has {described(file)}"
                 raise DataError.at(file.path, f"{what}; name it as in --columns {role}.{q}=NAME")
             first = next((row[column] for row in file.rows if row[column]), "")
             if q in STAMPS and not {"t", "time", f"{role}.t"} & set(self.units.given):
@@ -797,9 +512,9 @@ class Columns:
             if key not in self.used:
                 role, _, quantity = key.rpartition(".")
                 why = f"no file has a column {name!r}{did_you_mean(name, [n for f in files for n in f.names])}"
-                if any(f.find(name) is not None for f in files):
+                if any(column_of(f, name) is not None for f in files):
                     why = f"{quantity} is not needed" + (f" in the {role}" if role else "")
-                has = "; ".join(f"{f.path.name} has {f.described()}" for f in files)
+                has = "; ".join(f"{f.path.name} has {described(f)}" for f in files)
                 raise UsageError(f"--columns {key}={name}: not used: {why}; {has}")
 
     def stamps(self, file: TextTable, role: str, keep: BoolArray) -> Array:

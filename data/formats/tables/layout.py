@@ -11,7 +11,7 @@ from data import se2
 from data.csv_table import is_number
 from data.formats.arrays import ELEMENT
 from data.formats.results.reading import only_reading, words_of
-from data.formats.tables.files import TextTable
+from data.formats.text import TextTable
 from data.se2 import Array
 
 WORDS = {

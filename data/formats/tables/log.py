@@ -23,10 +23,11 @@ from data.formats.recordings.laser import FLOOR, without_odometry
 from data.formats.recordings.ros import file_and_topic
 from data.formats.results.path import ABSENT, COARSE, in_order, unturned
 from data.formats.second_odometry import together
-from data.formats.tables.files import QUATERNION, SCANS, SECOND, STARRED, TextTable, headings, nothing_there
+from data.formats.tables.files import QUATERNION, SCANS, SECOND, STARRED, described, headings, nothing_there
 from data.formats.tables.motion import Odometry, other_rate, pose_columns, read_odometry, read_second, second_closures
 from data.formats.tables.request import LOOKS, OBSERVATIONS, SENSOR, TableSensor, Wanted
 from data.formats.tables.scans import read_scans
+from data.formats.text import TextTable
 from data.formats.wrapped import file_and_word
 from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations, Prior, Scans
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
@@ -123,7 +124,7 @@ def read_fixes(file: TextTable, wanted: Wanted, odometry: Odometry, notes: list[
     if columns.stated(role, ("theta",)) and not columns.stated(role, ("x", "lat")) and "x" not in columns.given:
         position = []  # of a column that is something else
     if len(position) == 1 or not (position or heading):
-        what = f"no fixes: {file.described()}; x and y, or a heading theta, or both are needed"
+        what = f"no fixes: {described(file)}; x and y, or a heading theta, or both are needed"
         raise DataError.at(file.path, f"{what}; name them as in --columns fixes.x=EAST,fixes.y=NORTH")
     default, typed = wanted.fix_sigma, {key.removeprefix("fixes.") for key in columns.given}
     alone = ({"x", "y"} <= typed or {"lat", "lon"} <= typed) and not typed & {"theta", *QUATERNION}
@@ -195,7 +196,7 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
     columns, role, name = wanted.columns, of.role, of.sensor.label
     own, values = f"{name}." if name else "", of.measured
     if values == ("range", "bearing") and columns.find(file, role, "range") is None:
-        what = f"bearings without a range: {file.described()}; name its column, as in --columns {own}range=DIST"
+        what = f"bearings without a range: {described(file)}; name its column, as in --columns {own}range=DIST"
         raise DataError.at(file.path, f"{what}; if there are only bearings, --observation-sigma has one number")
     in_turn = odometry.rows[np.isfinite(odometry.rows)]
     each, steps = _rows_a_step(file, of, wanted, len(in_turn))

@@ -23,7 +23,8 @@ from data.formats.recordings.laser import TravelNoise, increments_of
 from data.formats.results.path import COARSE, STEPS
 from data.formats.results.reading import words_of
 from data.formats.second_odometry import closures_between, covered, of_twists, own_name
-from data.formats.tables.files import BEYOND, QUATERNION, SECOND, TWIST, Columns, TextTable, factor, headings, meaning
+from data.formats.tables.files import BEYOND, QUATERNION, SECOND, TWIST, Columns, described, factor, headings, meaning
+from data.formats.text import TextTable
 from data.inputs import Increments
 from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate, told
 from data.pose_measurements import Closures
@@ -139,7 +140,7 @@ def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | Non
         return named[0]
     listed = "; ".join(f"{k} ({', '.join(qs)})" for k, qs in KINDS.items())
     if not found:
-        what = f"no odometry: {file.described()}; one of {listed} is needed"
+        what = f"no odometry: {described(file)}; one of {listed} is needed"
         own = "" if role == "odometry" else f"{role}."
         if any(re.search("(?i)acc|^a_?[xy]$", name) for name in file.names):
             what += " (accelerations are not integrated: their errors grow with the square of time; a gyro is omega)"

@@ -23,10 +23,23 @@ from data.formats.arrays import is_arrays
 from data.formats.recordings.laser import SPEED, TravelNoise
 from data.formats.results.reading import RATES, words_of
 from data.formats.tables import files as table_files, motion
-from data.formats.tables.files import POSE, ROLES, SCANS, SECOND, STAMPED, STARRED, Columns, Given, TextTable, Units
+from data.formats.tables.files import (
+    POSE,
+    ROLES,
+    SCANS,
+    SECOND,
+    STAMPED,
+    STARRED,
+    Columns,
+    Given,
+    Units,
+    column_of,
+    described,
+)
 from data.formats.tables.layout import by_layout, landmarks_in_rows, named_alike, seen_by_layout
 from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of, path_of
 from data.formats.tables.scans import BEAMS, folded_up, wide_in
+from data.formats.text import TextTable, read_table
 from data.formats.wrapped import file_and_word
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise
 from data.origin import Origin, Origins
@@ -164,7 +177,7 @@ def _sensor(
     points = columns.has(file, role, measured) and (not taken or columns.stated(role, measured))
     if measured == ("x", "y") and not points:
         own, where = f"{name}." if name else "", "or their file with --observations"
-        what = f"no observations: {file.described()}; range and bearing, or x and y in the sensor's frame, are needed"
+        what = f"no observations: {described(file)}; range and bearing, or x and y in the sensor's frame, are needed"
         numbered = Counter(re.sub(r"\d+$", "*", name) for name in file.names if file.named)
         star = next((name for name, n in numbered.most_common(1) if n > 1 and name != "*"), "")
         where += f"; of scans --scans {file.path}" * any(n >= BEAMS for n in numbered.values())
@@ -173,7 +186,7 @@ def _sensor(
         what += f"; name them as in --columns {own}range={a},{own}bearing={b}, {where}"
         if free:
             told = f"if it has some, name them as in --columns {own}range={a},{own}bearing={b}"
-            columns.notes.append(f"{file.path.name}: without observations; {told}: {file.described()}")
+            columns.notes.append(f"{file.path.name}: without observations; {told}: {described(file)}")
             return None
         raise DataError.at(file.path, what)
     sees = of.get("sees") or ""
@@ -412,7 +425,7 @@ def _read(p: _Parts) -> None:
     read: dict[Path, TextTable] = {}
     for role, path in p.files.items():
         count, seen = len(next(iter(read.values()), ())), role in p.observing
-        read |= {path: table_files.read_text(path, p.named.values(), count, seen=seen)} if path not in read else {}
+        read |= {path: read_table(path, p.named.values(), count, seen=seen)} if path not in read else {}
     for path in {p.files.get(SCANS, p.files["odometry"])} - {p.files.get(OBSERVATIONS)}:
         if SCANS in p.files or not _moves(p, read[path]):
             read[path] = folded_up(read[path], p.columns) or read[path]
@@ -425,7 +438,7 @@ def _beside_odometry(p: _Parts, given: Given) -> None:
     """Take the parts that are in the file of the odometry: stated, or told by names or by their form."""
     path, table = p.files["odometry"], p.texts["odometry"]
     for role in (r for r in ROLES[1:] if r not in p.texts):
-        own = [n for key, n in p.named.items() if key.startswith(f"{role}.") and table.find(n) is not None]
+        own = [n for key, n in p.named.items() if key.startswith(f"{role}.") and column_of(table, n) is not None]
         if not own and role in ("truth", "fixes") and table.named:
             own = p.columns.quiet.tells(table, role)
         if not own and role == SCANS and not {*p.observing} & {*p.files}:

@@ -15,8 +15,9 @@ from data.errors import DataError, UsageError
 from data.formats.bags import GEOMETRY, Collected, LaserScans, scans_of
 from data.formats.recordings.beams import resampled
 from data.formats.results.reading import words_of
-from data.formats.tables.files import ANGLE, DIMENSIONS, Columns, TextTable, stem_of
+from data.formats.tables.files import ANGLE, DIMENSIONS, Columns, described, stem_of
 from data.formats.tables.motion import Odometry
+from data.formats.text import TextTable
 from data.inputs import IntArray
 from data.se2 import Array
 
@@ -62,7 +63,7 @@ def read_scans(
         told = ",".join(f"{k}={v}" for k, v in [*before.items(), ("scans.range", first + 1)])
         columns.notes.append(f"{file.path.name}: inferred: --columns {told}")
     if not beams and listed is None:
-        what = f"no scans: {file.described()}; columns such as range0, range1 are needed"
+        what = f"no scans: {described(file)}; columns such as range0, range1 are needed"
         raise DataError.at(file.path, f"{what}, or --columns scans.range=N: all from the N-th on")
     metre = columns.units.factor("scans", "range")
 
