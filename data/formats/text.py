@@ -151,16 +151,16 @@ def _separator(lines: Sequence[str]) -> str:
 
 
 def read_text(path: Path) -> Text:
-    """A file's rows, or those of FIRST+SECOND+... side by side, without those of what is within an object."""
-    if not path.is_dir() and len(parts_of(path)) > 1:
-        table = read_table(path)
-        return Text(path, (table.names, *table.rows), (0, *table.line.tolist()), cut=table.cut)
-    text = _rows(path)
-    if text.separator or ELEMENT not in text.fields[0]:
-        return text
-    inside = text.fields[0].index(ELEMENT)
-    fields = tuple(row for k, row in enumerate(text.fields) if k == 0 or not row[inside])
-    return replace(text, fields=fields, line=text.line[: len(fields)])
+    """A file's rows, below a header those of its table, or of FIRST+SECOND+..., but not what is within an object."""
+    several = not path.is_dir() and len(parts_of(path)) > 1
+    text = Text(path, (), ()) if several else _rows(path)
+    if several or not is_row(text.fields[0]):
+        table = _table(text) if text.fields else read_table(path)
+        line = (0 if several else text.line[0], *table.line.tolist())
+        text = replace(text, fields=(table.names, *table.rows), line=line, cut=table.cut)
+    inside = [k for k, name in enumerate(text.fields[0]) if name.rpartition(".")[2] == ELEMENT]
+    fields = tuple(row for k, row in enumerate(text.fields) if k == 0 or not any(row[j] for j in inside))
+    return replace(text, fields=fields, line=text.line[: len(fields)]) if inside else text
 
 
 def _rows(path: Path, stated: Collection[str] = (), odometry: int = 0) -> Text:
@@ -175,18 +175,24 @@ def _rows(path: Path, stated: Collection[str] = (), odometry: int = 0) -> Text:
             raise DataError.at(path, f"more than {most} characters", line=i)
     comments = tuple((i, line.strip()) for i, line in lines if line.lstrip().startswith(COMMENT))
     every = [(i, line) for i, line in lines if not line.lstrip().startswith(COMMENT)]
-    plain = [(i, _apart(line.strip(" ").replace(",\t", ","))) for i, line in every if line.strip()]
+    plain = [(i, line.replace(",\t", ",")) for i, line in every if line.strip()]
     if not any(line.strip(" ;,|\t") for _, line in plain):
         raise DataError.at(path, f"no rows{f' of {word}' * bool(word)}; at least one is needed")
-    number = [i for i, _ in plain]
-    separator = _separator([line for _, line in plain[:50]])
+    number, separator = [i for i, _ in plain], _separator([line for _, line in plain[:50]])
+    if separator == ",":  # of a list without quotes none is one
+        plain = [
+            (i, re.sub(CELLS, lambda c: re.sub(",| sec", " ", c[0]) if c[0][0] != '"' else c[0], line))
+            for i, line in plain
+        ]
     rows = split([line for _, line in plain], separator)
     if len(rows) != len(plain):
         open_at = next((i for i, line in plain if line.count('"') % 2), number[0])
         raise DataError.at(path, "a quote that is not closed within its line", line=open_at)
     if separator != "," and any("," in line for _, line in plain):
         points = any("." in f and is_number(f) for row in rows for f in row)
-        rows = rows if points else [tuple(map(_with_point, row)) for row in rows]
+        with_point = (tuple(f.replace(",", ".") for f in row) for row in rows)
+        each = (zip(row, others, strict=True) for row, others in zip(rows, with_point, strict=True))
+        rows = rows if points else [tuple(p if is_number(p) or is_date(p) else f for f, p in pairs) for pairs in each]
     text = Text(path, tuple(rows), tuple(number), separator, comments, tuple(i for i, _ in every))
     names, below = (rows[0], rows[1:]) if not is_row(rows[0]) else (text.above, rows)
     if below and all(len(row) > 1 and not row[-1] for row in below):
@@ -202,18 +208,6 @@ def _rows(path: Path, stated: Collection[str] = (), odometry: int = 0) -> Text:
     return replace(text, fields=tuple(rows), line=tuple(number), cut="; ".join(filter(None, (title, cut))))
 
 
-def _apart(line: str) -> str:
-    """A line with blanks for commas within lists that have no quotes, and numbers without a unit behind them."""
-    if not re.search(r"[\[(]| sec", line):
-        return line
-    return re.sub(CELLS, lambda c: c[0] if c[0][0] == '"' else c[0].replace(",", " ").replace(" sec", ""), line)
-
-
-def _with_point(field: str) -> str:
-    point = field.replace(",", ".")
-    return point if point != field and (is_number(point) or is_date(point)) else field
-
-
 def read_table(path: Path, stated: Collection[str] = (), odometry: int = 0, *, seen: bool = False) -> TextTable:
     """A file's rows, or DataError. `stated`: names of columns; `odometry`: its rows; `seen`: each may have several."""
     bag, topic = file_and_topic(str(path))
@@ -223,10 +217,16 @@ def read_table(path: Path, stated: Collection[str] = (), odometry: int = 0, *, s
     if len(parts := parts_of(path)) > 1:
         return _joined(path, parts)
     text = _rows(path, stated, odometry)
+    line = tuple(i for i, row in zip(text.line, text.fields, strict=True) if any(row))
+    text = replace(text, fields=tuple(row for row in text.fields if any(row)), line=line)
+    return _table(text, stated, odometry, seen=seen)
+
+
+def _table(text: Text, stated: Collection[str] = (), odometry: int = 0, *, seen: bool = False) -> TextTable:
+    path = text.path
     if not text.separator:
         return TextTable(path, text.fields[0], text.fields[1:], np.array(text.line[1:], np.int64), named=True)
-    said, rows = [text.cut], [row for row in text.fields if any(row)]
-    number = np.array([i for i, row in zip(text.line, text.fields, strict=True) if any(row)], np.int64)
+    said, rows, number = [text.cut], [*text.fields], np.array(text.line, np.int64)
     names: tuple[str, ...] | None = None
     if seen and (found := _by_rows(rows, np.searchsorted(text.every, number).tolist(), len(text.every), odometry)):
         names, rows, row_of = found

@@ -131,13 +131,11 @@ def in_names(text: Text) -> Text:
     that hold a list. A matrix that is no rotation is not known; of nine entries none is that of a covariance.
     """
     head, *below = text.fields
-    wide = [len(_cells(field)) for field in below[0]] if below else []
-    names = [f"{n}_{k}" if many > 1 else n for n, many in zip(head, wide, strict=False) for k in range(1, many + 1)]
+    names, rows = [*head], [*map(list, below)]
     groups, said = dict[str, list[tuple[str, int]]](), [text.cut] * bool(text.cut)
     for j, name in enumerate(names):
         if (stem := re.sub(r"[\W_]*\d[\d\W_]*$", "", name)) != name:
             groups.setdefault(stem, []).append((re.sub(r"\D", "", name[len(stem) :]).zfill(2), j))
-    rows = [[*chain(*map(_cells, row))] for row in below] if max(wide, default=1) > 1 else [*map(list, below)]
     if not groups or 2 * sum(map(is_number, head)) >= len(head) or {len(row) for row in rows} != {len(names)}:
         return text
     for stem, some in groups.items():
@@ -164,11 +162,6 @@ def in_names(text: Text) -> Text:
                 for k, j in enumerate(at):
                     row[j] = values[k] if k < len(roles) else ""
     return replace(text, fields=(tuple(names), *map(tuple, rows)), cut="; ".join(said)) if said else text
-
-
-def _cells(field: str) -> list[str]:
-    """A field, or the numbers of the list that it holds."""
-    return re.split(r"[\s,;]+", field.strip("[]() ")) if field[:1] in ("[", "(") else [field]
 
 
 def numbers(text: Text, columns: Sequence[str], *, blank: bool = False, huge: Collection[str] = ()) -> Array:

@@ -14,11 +14,11 @@ import numpy as np
 import scipy
 
 from data.columns.named import COVARIANCE, LENGTH, STAMP, YAW
-from data.csv_table import ends_early, is_number, symmetric
+from data.csv_table import is_number, symmetric
 from data.dates import EXAMPLE, IN_SECONDS, ISO, is_date, seconds_of, unit_of
 from data.earth import on_plane, placed
 from data.errors import DataError, UsageError, did_you_mean
-from data.formats.messages import kinds_of, runs_of, whole_names
+from data.formats.messages import kinds_of, runs_of
 from data.formats.recordings.ros import file_and_topic, is_bag
 from data.formats.results import lines, path as paths
 from data.formats.results.bags import is_table, read_bag
@@ -87,7 +87,7 @@ def header_names(text: Text, manner: Manner) -> Columns | None:
     """
     first = text.fields[0]
     if not is_row(first):
-        return _columns(text, whole_names(first, text.fields[1:]), text.line[0], manner, in_data=True)
+        return _columns(text, first, text.line[0], manner, in_data=True)
     width, separators = len(first), (text.separator or ",", *((",", ";") if text.commas else (" ", ",")))
     for line, comment in reversed([c for c in text.comments if c[0] < text.line[0] and not c[1].startswith("#%")]):
         for separator in separators:
@@ -346,8 +346,6 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
         value["t"] = value["t"] + 1e-9 * whole * value["nanoseconds"]
     unread = [*columns.unread[:SHOWN], *(["..."] if len(columns.unread) > SHOWN else [])]
     notes: tuple[str, ...] = (f"columns not read: {', '.join(unread)}",) if unread and not ours else ()
-    if short := sum(len(fields) < columns.named for fields in body.fields):
-        notes += (f"{short} of {len(body.fields)} rows end before the header does: their last columns are blank",)
     value, said = _variances(value, columns)
     notes += (said,) * bool(said and not manner.true)
     if dated is not body:
@@ -457,14 +455,10 @@ def _values(body: Text, columns: Columns) -> dict[str, Array]:
     """Numbers of the columns that are read, by role, and of a triangle behind all; other columns may hold anything."""
     wide = not columns.in_data and len(body.fields[0]) == columns.named + len(TRIANGLE)
     place = columns.place | {c: columns.named + k for k, c in enumerate(TRIANGLE) if wide}
-    read = 1 + max(columns.place.values())
-    early = ends_early(map(len, body.fields), columns.named, read) if body.separator != " " else set()
     for line, fields in zip(body.line, body.fields, strict=True):
-        if len(fields) in early:
-            continue
-        if len(fields) < columns.named or (columns.in_data and len(fields) != columns.named):
+        if len(fields) < columns.named:
             raise DataError.at(body.path, f"{len(fields)} fields where the header names {columns.named}", line=line)
-    chosen = [tuple(f[j] if j < len(f) else "" for j in place.values()) for f in body.fields]
+    chosen = [tuple(f[j] for j in place.values()) for f in body.fields]
     found = lines.numbers(replace(body, fields=tuple(chosen)), tuple(place), blank=True, huge=("t",))
     return dict(zip(place, found.T, strict=True))
 
