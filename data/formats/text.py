@@ -173,13 +173,14 @@ def _rows(path: Path, stated: Collection[str] = (), odometry: int = 0) -> Text:
     for i, line in lines:
         if len(line) > most and ('"' in line or max(map(len, re.split(r"[\s,;|]", line))) > most):
             raise DataError.at(path, f"more than {most} characters", line=i)
-    comments = tuple((i, line.strip()) for i, line in lines if line.lstrip().startswith(COMMENT))
     every = [(i, line) for i, line in lines if not line.lstrip().startswith(COMMENT)]
     plain = [(i, line.replace(",\t", ",")) for i, line in every if line.strip()]
     if not any(line.strip(" ;,|\t") for _, line in plain):
         raise DataError.at(path, f"no rows{f' of {word}' * bool(word)}; at least one is needed")
     number, separator = [i for i, _ in plain], _separator([line for _, line in plain[:50]])
-    if separator == ",":  # of a list without quotes none is one
+    if separator == "," and any(
+        "[" in line or "(" in line or " sec" in line for _, line in plain
+    ):  # of a list without quotes none is one
         plain = [
             (i, re.sub(CELLS, lambda c: re.sub(",| sec", " ", c[0]) if c[0][0] != '"' else c[0], line))
             for i, line in plain
@@ -193,6 +194,8 @@ def _rows(path: Path, stated: Collection[str] = (), odometry: int = 0) -> Text:
         with_point = (tuple(f.replace(",", ".") for f in row) for row in rows)
         each = (zip(row, others, strict=True) for row, others in zip(rows, with_point, strict=True))
         rows = rows if points else [tuple(p if is_number(p) or is_date(p) else f for f, p in pairs) for pairs in each]
+    stripped = ((i, line.strip().removesuffix(separator)) for i, line in lines)
+    comments = tuple((i, line) for i, line in stripped if line.startswith(COMMENT))
     text = Text(path, tuple(rows), tuple(number), separator, comments, tuple(i for i, _ in every))
     names, below = (rows[0], rows[1:]) if not is_row(rows[0]) else (text.above, rows)
     if below and all(len(row) > 1 and not row[-1] for row in below):
@@ -235,8 +238,8 @@ def _table(text: Text, stated: Collection[str] = (), odometry: int = 0, *, seen:
         return TextTable(path, names, tuple(rows), number[row_of], named=True, cut=cut, steps=len(text.every))
     if not is_row(rows[0]):
         names, rows, number = rows[0], rows[1:], number[1:]
-    elif text.above and len(above := text.above[: -1 if not text.above[-1] else None]) == len(rows[0]):
-        names = above
+    elif len(text.above) == len(rows[0]):
+        names = text.above
     if not rows:
         raise DataError.at(path, "a header and no rows; at least one is needed")
     rows = _uncounted(rows) if names is None else rows

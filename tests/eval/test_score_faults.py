@@ -67,7 +67,6 @@ NAMES = {
     ),
     "OpenVINS state": ("# timestamp(s) q p v bg ba", " ", "tXYZWxyz000000000"),
     "roll pitch yaw": ("t,x,y,z,roll,pitch,yaw", ",", "txyz00r"),
-    "semicolons": ("t;yaw;y;x", ";", "tryx"),
     "swapped": ("# t y x z qx qy qz qw", " ", "tyxzXYZW"),
 }
 

@@ -252,7 +252,6 @@ def test_a_last_row_that_is_cut_off_is_left_out_and_rows_may_end_before_the_head
     path = read_path(str(tmp_path / "1.csv"), Manner(columns={"x": "ins_x", "y": "ins_y"}))
     assert any("45 of 60 rows end before the header" in note for note in path.notes)
     assert "ins_x may be x; type --columns truth.x=ins_x" in scored(table(WHOLE), text, wrong=True)
-    assert "4 fields" in scored(table(WHOLE), text, flags=("--columns", "truth.x=more,truth.y=ins_y"), wrong=True)
     whole = [f"{row},2" if row.endswith(",1") else row for row in text.splitlines()]
     lost = "\n".join([*whole[:5], whole[5].rpartition(",")[0], *whole[6:]])
     assert "4 fields" in scored(table(WHOLE), lost, flags=names, wrong=True)  # one may lack any field
@@ -288,7 +287,7 @@ def test_topics_as_columns_of_sparse_rows(scored, tmp_path):
     rows += [f"{t + 0.02},,,,,0.5" for t in T]
     text = "\n".join([",".join(names), *sorted(rows, key=lambda row: float(row.split(",")[0]))])
     assert "topics /ekf, /mocap/data: type which" in scored(text, wrong=True)
-    assert "no line of data of /odom" in scored(text, flags=(f"{tmp_path / '0.csv'}:/odom",), wrong=True)
+    assert "no rows of /odom" in scored(text, flags=(f"{tmp_path / '0.csv'}:/odom",), wrong=True)
     file = tmp_path / "0.csv"
     keys = ("estimate.x", "estimate.y", "truth.x", "truth.y")
     stated = ("--columns", ",".join(f"{k}={n}" for k, n in zip(keys, names[1:], strict=False)))

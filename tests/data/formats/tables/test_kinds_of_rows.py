@@ -442,14 +442,6 @@ def test_odometry_and_truth_in_one_row_of_several_runs(convert, unread):
     assert "odometry is v and omega" in convert({"a.csv": text}, "table", "a.csv:run=1", "out")[1]
 
 
-def test_a_last_row_that_is_cut_off_is_left_out(read, unread):
-    seen = "t,range,bearing\n" + "".join(f"{k},{9 - k},0.1\n" for k in range(5))
-    log, said = read({"o.csv": WHEELS, "s.csv": seen + "5,4"}, "--observations", "s.csv")
-    assert len(log.recorded.observations.z) == 5
-    assert "- s.csv: line 7, the last one, is cut off and left out: '5,4'" in said
-    assert ":7: 2 fields" in unread({"o.csv": WHEELS, "s.csv": seen + "5,4\n6,3,0.1\n"}, "--observations", "s.csv")
-
-
 def cell(*items):
     made = np.empty((len(items), 1), object)
     made[:, 0] = items

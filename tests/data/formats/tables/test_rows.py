@@ -103,15 +103,6 @@ def test_a_table_with_usual_names_and_units_needs_no_flag(tmp_path, capsys):
     assert "theta of odometry is read from yaw_deg, in deg" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("names", "change"), [
-    *((names, lambda row: row + ",") for names in ("t,x,y,theta", "t,x,y,theta,", "#t,x,y,theta")),
-    ("t\tx\ty\ttheta", lambda row: row.replace(",", "\t", 1).replace(",", " ")),
-])  # fmt: skip
-def test_separators_at_the_end_or_of_two_kinds_are_read(rows, names, change):
-    log, _ = rows([change(row) for row in DRIVE], "--frames", "odometry", names=names, observations="t,x,y\n1,2,0\n")
-    assert log.recorded.increments.mean[1:, 0] == pytest.approx(SPEED)
-
-
 @pytest.mark.parametrize("names", ["t,x,y,theta", "t,dx,dy,dtheta"])
 def test_a_covariance_that_is_the_same_of_each_row_is_so_of_each_frame(rows, names):
     odometry = DRIVE if "theta" in names and "dx" not in names else [f"{k},{SPEED},0,0" for k in range(12)]
