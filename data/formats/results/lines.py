@@ -168,41 +168,22 @@ def numbers(text: Text, columns: Sequence[str], *, blank: bool = False, huge: Co
     """The fields as numbers (n, columns), NaN where unknown, as an infinite covariance is, and where they may be blank;
     those of `huge` columns may exceed `LARGEST`.
     """
-    k = len(columns)
-    plain = _plain(text, k)
-    if plain is not None:
-        return plain
-    found = np.full((len(text.fields), k), np.nan)
-    for row, (line, fields) in enumerate(zip(text.line, text.fields, strict=True)):
-        if len(fields) != k:
-            last = cut_off(len(fields), k, last=line == text.line[-1])
-            raise DataError.at(text.path, f"{len(fields)} fields; {k} are needed{last}", line=line)
-        for j, (name, field) in enumerate(zip(columns, fields, strict=False)):
-            if blank and not field:
-                continue
-            if not is_number(field):
-                raise DataError.at(text.path, f"{field[:40]!r} is not a number", line=line, column=name)
-            value = float(field)
-            beyond = abs(value) > LARGEST and (math.isinf(value) or name not in huge)
-            of_covariance = name.startswith(("c_", "s_")) or (name[:1] in "cPf" and name[-1:].isdigit())
-            if beyond and not of_covariance:
-                unknown = ", or nan where unknown" * math.isinf(value)
-                what = f"{field[:40]}; a finite number in SI units is needed{unknown}"
-                raise DataError.at(text.path, what, line=line, column=name)
-            found[row, j] = math.nan if beyond else value
-    return found
-
-
-def _plain(text: Text, k: int) -> Array | None:
-    """The k fields of every line as numbers (n, k), at once; None unless all are finite and within bounds."""
-    if {len(fields) for fields in text.fields} != {k}:
-        return None
-    try:
-        found = np.array([list(map(float, fields)) for fields in text.fields])
-    except ValueError:
-        return None
-    underscored = any("_" in field for fields in text.fields for field in fields)  # Python reads 1_0 as ten
-    return None if underscored or not (np.abs(found) <= LARGEST).all() else found
+    for line, fields in zip(text.line, text.fields, strict=True):
+        if len(fields) != len(columns):
+            last = cut_off(len(fields), len(columns), last=line == text.line[-1])
+            raise DataError.at(text.path, f"{len(fields)} fields; {len(columns)} are needed{last}", line=line)
+    rows = [tuple(field or "nan" for field in fields) for fields in text.fields] if blank else text.fields
+    if (k := next((k for k, field in enumerate(chain(*rows)) if not is_number(field)), None)) is not None:
+        row, j = divmod(k, len(columns))
+        raise DataError.at(text.path, f"{rows[row][j][:40]!r} is not a number", line=text.line[row], column=columns[j])
+    found = np.array([*map(float, chain(*rows))]).reshape(-1, len(columns))
+    of_covariance = [n.startswith(("c_", "s_")) or (n[:1] in "cPf" and n[-1:].isdigit()) for n in columns]
+    beyond = (np.abs(found) > LARGEST) & (np.isinf(found) | [name not in huge for name in columns])
+    for row, j in np.argwhere(beyond & ~np.array(of_covariance)).tolist():
+        unknown = ", or nan where unknown" * math.isinf(found[row, j])
+        what = f"{rows[row][j][:40]}; a finite number in SI units is needed{unknown}"
+        raise DataError.at(text.path, what, line=text.line[row], column=columns[j])
+    return np.where(beyond, np.nan, found)
 
 
 def tangent(text: Text) -> tuple[str | None, str | None]:
