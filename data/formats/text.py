@@ -177,7 +177,7 @@ def _rows(path: Path, stated: Collection[str] = (), odometry: int = 0) -> Text:
     plain = [(i, line.replace(",\t", ",")) for i, line in every if line.strip()]
     if not any(line.strip(" ;,|\t") for _, line in plain):
         raise DataError.at(path, f"no rows{f' of {word}' * bool(word)}; at least one is needed")
-    number, separator = [i for i, _ in plain], _separator([line for _, line in plain[:50]])
+    number, separator = [i for i, _ in plain], _separator([line for _, line in (*plain[:50], *plain[50:-1][-1:])])
     if separator == "," and any(
         "[" in line or "(" in line or " sec" in line for _, line in plain
     ):  # of a list without quotes none is one

@@ -109,7 +109,7 @@ def test_a_laser_log_is_no_bomb_and_a_damaged_run_or_result_is_said_in_few_words
     (tmp_path / "b.log.gz").write_bytes(gzip.compress(bytes(80 << 20), mtime=0))
     assert "unpack to more than" in peak(open_log, str(tmp_path / "b.log.gz"))[1]
     (tmp_path / "a.csv").write_text("t,x,y,theta\n")
-    assert "a header and no pose" in peak(read_path, str(tmp_path / "a.csv"))[1]
+    assert "a header and no rows" in peak(read_path, str(tmp_path / "a.csv"))[1]
     (tmp_path / "b.tum").write_text("0 0 0 0 0 0 0 1\n1 " + "9" * 100_000 + " 0 0 0 0 0 1\n")
     assert len(peak(read_path, str(tmp_path / "b.tum"))[1]) < 300
     savemat(tmp_path / "results.mat", {"v_m": np.ones((4, 1))})  # scipy's reader may end the process.
