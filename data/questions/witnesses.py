@@ -408,7 +408,8 @@ def changes(c: Case, s: Samples, path: tuple[Array, BoolArray], spread: Array) -
         count = np.diff(np.append(first, len(a)))
         # by chance: how far apart they lie, over their number
         size = np.repeat(np.sqrt(np.add.reduceat(np.sum(q**2, axis=1), first)) / count, count)
-        near = np.lexsort((d, np.cumsum(np.isin(np.arange(len(a)), first))))[first]
+        nearest = np.flatnonzero(d == np.repeat(np.minimum.reduceat(d, first), count))
+        near = nearest[np.searchsorted(nearest, first)]
         kept = near[np.isfinite(d[near])]
     aside = se2.worlds_from_bodies(-motion[kept, 2])[:, :2, :2] - np.eye(2)
     return off[kept], size[kept], np.column_stack([variance, variance])[kept], aside

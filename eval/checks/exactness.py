@@ -80,7 +80,7 @@ class Rules:
 
 def blocks_alone(A: Array) -> Array:
     """Only the 2 x 2 blocks on the diagonal of (2k, 2k)."""
-    return np.asarray(A * np.kron(np.eye(len(A) // 2), np.ones((2, 2))))
+    return block_diagonal(diagonal_blocks(A))
 
 
 def permuted(A: Array) -> Array:
@@ -298,7 +298,8 @@ class Kalman:
                 nu[:, 1] = unwrapped(z[:, 1], z_hat[:, 1], self.x[2])
         HPH, noise, stated = H @ self.P @ H.T, block_diagonal(r.R(R)), block_diagonal(R)
         S = r.S(HPH + noise)
-        K = (np.linalg.pinv(S) @ H @ self.P).T
+        inverse = np.linalg.pinv(S)
+        K = (inverse @ H @ self.P).T
         shift = K @ nu.ravel()
         if Bug.MEAN_NOT_UPDATED in r.mistakes:
             shift = 0.0 * shift
@@ -322,7 +323,9 @@ class Kalman:
             return 2.0 * k
         if Bug.NIS_OF_RESIDUALS in r.mistakes:
             nu = np.asarray(self.sensor.residual(z, self._linearized(number, self.x[:3])[0]))
-        return float(nu.ravel() @ np.linalg.pinv(_of(r.mistakes, weights, S)) @ nu.ravel())
+        if (weight := _of(r.mistakes, weights, S)) is not S:
+            inverse = np.linalg.pinv(weight)
+        return float(nu.ravel() @ inverse @ nu.ravel())
 
     def _found(self, z: Array, R: Array, predicted: Array) -> None:
         r, d = self.rules, len(self.x)

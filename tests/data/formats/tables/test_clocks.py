@@ -25,8 +25,9 @@ PRIOR = ("--prior", "truth", "--prior-sigma", "0.01,0.01,0.01")
 
 
 @pytest.fixture
-def table(convert):
-    """`table(folder, *words)`: what `convert` gives of its files."""
+def table(convert, monkeypatch):
+    """`table(folder, *words)`: what `convert` gives of its files, without its questions about them."""
+    monkeypatch.setattr("data.questions.asked.ask", lambda _: ())
 
     def run(folder, *words, status=0):
         files = {"observations": "observations", "map": "landmarks", "truth": "truth"}.items()

@@ -241,7 +241,7 @@ def test_latitudes_in_rad_and_a_column_for_two_quantities(convert):
     assert "column t is named for t and x" in convert(files, *words, "--columns", "fixes.x=t,fixes.y=lat", status=2)
 
 
-def test_observations_without_stamps_are_in_the_order_of_the_steps(convert):
+def test_observations_without_stamps_are_in_the_order_of_the_steps(convert, monkeypatch):
     """Seen: as many rows a step as landmarks, or rows of several points, were refused, as they had no t or frame."""
     off = PLACES - POSE[1:, None, :2]
     seen = np.stack([np.hypot(*off.T), wrap_angle(np.arctan2(*off.T[::-1]) - POSE[1:, 2])], axis=-1).transpose(1, 0, 2)
@@ -252,6 +252,7 @@ def test_observations_without_stamps_are_in_the_order_of_the_steps(convert):
         log, said = convert(files, *words, *more, "--period", "0.1s")
         assert log.recorded.observations.frame.tolist() == np.repeat(np.arange(1, 300), 4).tolist()
         assert (log.label.tolist(), "landmark i" in said, "warning" in said) == ([0, 1, 2, 3] * 299, True, False)
+    monkeypatch.setattr("data.questions.asked.ask", lambda _: ())  # takes half a second
     mixed = np.random.default_rng(0).permuted(seen, axis=1).reshape(-1, 2)
     assert convert(files | {"z.csv": text("range,bearing", mixed)}, *words, "--map", "map.csv")[0].label is None
     few = files | {"z.csv": text("range,bearing", seen.reshape(-1, 2)[1:])}
