@@ -274,7 +274,6 @@ def words(folder: Path, t: Tables, *, truth: bool = True, ids: bool = True, know
 
 def log_of(folder: Path, t: Tables, *flags: str, **parts: bool) -> Log:
     write(folder, t)
-    unasked = mock.patch("data.questions.asked.ask", return_value=())  # its test asks
-    with contextlib.redirect_stdout(io.StringIO()), unasked:
+    with contextlib.redirect_stdout(io.StringIO()), mock.patch("data.questions.asked.ask"):  # its test asks
         assert convert([*words(folder, t, **parts), *flags]) == 0
     return load_folder(folder / "log")

@@ -178,13 +178,10 @@ def _rows(path: Path, stated: Collection[str] = (), odometry: int = 0) -> Text:
     if not any(line.strip(" ;,|\t") for _, line in plain):
         raise DataError.at(path, f"no rows{f' of {word}' * bool(word)}; at least one is needed")
     number, separator = [i for i, _ in plain], _separator([line for _, line in (*plain[:50], *plain[50:-1][-1:])])
-    if separator == "," and any(
-        "[" in line or "(" in line or " sec" in line for _, line in plain
-    ):  # of a list without quotes none is one
-        plain = [
-            (i, re.sub(CELLS, lambda c: re.sub(",| sec", " ", c[0]) if c[0][0] != '"' else c[0], line))
-            for i, line in plain
-        ]
+    # commas within lists separate nothing
+    if separator == "," and any(re.search(r"[\[(]| sec", line) for _, line in plain):
+        joined = partial(re.sub, CELLS, lambda c: c[0] if c[0][0] == '"' else re.sub(",| sec", " ", c[0]))
+        plain = [(i, joined(line)) for i, line in plain]
     rows = split([line for _, line in plain], separator)
     if len(rows) != len(plain):
         open_at = next((i for i, line in plain if line.count('"') % 2), number[0])

@@ -85,12 +85,9 @@ def blocks_alone(A: Array) -> Array:
 
 def permuted(A: Array) -> Array:
     """Rows and columns of (2k, 2k), by candidates, rotated by one; the blocks on the diagonal as they were."""
-    k = len(A) // 2
-    order = np.roll(np.arange(2 * k).reshape(k, 2), 1, axis=0).ravel()
-    moved = np.array(A[np.ix_(order, order)])
-    inside = np.kron(np.eye(k), np.ones((2, 2))) > 0.0
-    moved[inside] = A[inside]
-    return moved
+    order = coordinates(np.roll(np.arange(len(A) // 2), 1))
+    moved = A[np.ix_(order, order)]
+    return moved - blocks_alone(moved) + blocks_alone(A)
 
 
 def root(A: Array) -> Array:
@@ -323,9 +320,8 @@ class Kalman:
             return 2.0 * k
         if Bug.NIS_OF_RESIDUALS in r.mistakes:
             nu = np.asarray(self.sensor.residual(z, self._linearized(number, self.x[:3])[0]))
-        if (weight := _of(r.mistakes, weights, S)) is not S:
-            inverse = np.linalg.pinv(weight)
-        return float(nu.ravel() @ inverse @ nu.ravel())
+        weight = _of(r.mistakes, weights, S)
+        return float(nu.ravel() @ (inverse if weight is S else np.linalg.pinv(weight)) @ nu.ravel())
 
     def _found(self, z: Array, R: Array, predicted: Array) -> None:
         r, d = self.rules, len(self.x)
