@@ -1,5 +1,5 @@
 """Files of factor graphs, in the plane and in space: g2o, Toro, iSAM. Lines are kept for writing.
-docs/notes/audit.md lists the lines that are read.
+docs/notes/audit.md lists the lines that are read. Vertices and edges may lie in two files, with or without tags.
 
 I: information, upper triangle row by row; in space translation first. As gtsam's reader, and unlike g2o, the rotation's
 information is, by default, of the angle, not of the quaternion's half angle. Poses and points have ids of their own. An
@@ -12,9 +12,12 @@ than a metre. So are EDGE2 in the order of rows, which iSAM writes; in Toro's or
 
 import math
 import re
+import tomllib
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -27,40 +30,15 @@ from data.origin import Origin
 from data.se2 import Array, compose, inverse
 
 POSE2, POSE3, POINT2, POINT3 = "pose2", "pose3", "point2", "point3"
-VERTICES = {
-    "VERTEX_SE2": (POSE2, 3), "VERTEX2": (POSE2, 3), "VERTEX_XY": (POINT2, 2), "VERTEX_SE3:QUAT": (POSE3, 7),
-    "VERTEX_TRACKXYZ": (POINT3, 3), "VERTEX3": (POSE3, 6),
-}  # fmt: skip
-"""Kind and number of values."""
-EDGES = {
-    "EDGE_SE2": (3, 3, POSE2, POSE2), "EDGE2": (3, 3, POSE2, POSE2), "EDGE_SE2_XY": (2, 2, POSE2, POINT2),
-    "LANDMARK2": (2, 2, POSE2, POINT2), "EDGE_BEARING_SE2_XY": (1, 1, POSE2, POINT2), "BR": (2, 2, POSE2, POINT2),
-    "EDGE_RANGE_SE2_XY": (1, 1, POSE2, POINT2),
-    "ODOMETRY": (3, 3, POSE2, POSE2), "CONSTRAINT": (3, 3, POSE2, POSE2), "CONSTRAINT2": (3, 3, POSE2, POSE2),
-    "LANDMARK": (2, 2, POSE2, POINT2), "EDGE_SE2_OFFSET": (3, 3, POSE2, POSE2),
-    "EDGE_SE2_POINTXY_OFFSET": (2, 2, POSE2, POINT2),
-    "EDGE_SE2_SWITCHABLE": (3, 3, POSE2, POSE2), "EDGE_SE3_SWITCHABLE": (7, 6, POSE3, POSE3),
-    "EDGE_SE3:QUAT": (7, 6, POSE3, POSE3), "EDGE3": (6, 6, POSE3, POSE3), "EDGE_SE3_TRACKXYZ": (3, 3, POSE3, POINT3),
-    "EDGE_SE3_XYZ": (3, 3, POSE3, POINT3),
-}  # fmt: skip
-"""Measured values, residuals, and the kinds of both ends."""
+LINES: dict[str, Any] = tomllib.loads(Path(__file__).with_name("graph_lines.toml").read_text(encoding="utf-8"))
+VERTICES, EDGES, PRIORS = ({tag: tuple(of) for tag, *of in LINES[part]} for part in ("vertices", "edges", "priors"))
 SWITCHED = ("EDGE_SE2_SWITCHABLE", "EDGE_SE3_SWITCHABLE")
-IDS = {"EDGE_SE3_TRACKXYZ": 3, "EDGE_SE2_POINTXY_OFFSET": 3, "EDGE_SE2_OFFSET": 4, **dict.fromkeys(SWITCHED, 3)}
-"""Ids of an edge and of its parameters, where these are not two."""
 BEARING, RANGE = "EDGE_BEARING_SE2_XY", "EDGE_RANGE_SE2_XY"
 IN_SPACE, POSE_IN_SPACE = "EDGE_SE3_PRIORXYZ", "EDGE_SE3_PRIOR"
-PRIORS = {"EDGE_PRIOR_SE2": (3, 3), "EDGE_PRIOR_SE2_XY": (2, 2), IN_SPACE: (3, 3), POSE_IN_SPACE: (7, 6)}  # as of edges
 OFFSETS = {"PARAMS_SE3OFFSET": 7, "PARAMS_SE2OFFSET": 3}
 TEXT = ("ODOMETRY", "CONSTRAINT", "CONSTRAINT2", "LANDMARK")  # in any case
-ALIASES = {
-    "TUTORIAL_VERTEX_SE2": "VERTEX_SE2", "TUTORIAL_VERTEX_POINT_XY": "VERTEX_XY", "TUTORIAL_EDGE_SE2": "EDGE_SE2",
-    "TUTORIAL_EDGE_SE2_POINT_XY": "EDGE_SE2_POINTXY_OFFSET", "TUTORIAL_PARAMS_SE2_OFFSET": "PARAMS_SE2OFFSET",
-    "VERTEX": "VERTEX2", "EDGE": "EDGE2", "VERTEX_POINT_XY": "VERTEX_XY", "EDGE_SE2_POINT_XY": "EDGE_SE2_XY",
-    "VERTEX_XYZ": "VERTEX_TRACKXYZ", "VERTEX_POINT_XYZ": "VERTEX_TRACKXYZ", "EDGE_SE3_POINT_XYZ": "EDGE_SE3_XYZ",
-    "POSE2D_NODE": "VERTEX_SE2", "POINT2D_NODE": "VERTEX_XY", "POSE2D_POSE2D_FACTOR": "ODOMETRY",
-    "POSE2D_POINT2D_FACTOR": "LANDMARK", "VERTEX_SE2:PRIOR": "EDGE_PRIOR_SE2", "EDGE_RANGE": RANGE,
-}  # fmt: skip
-"""Types of g2o's tutorial, old Toro, iSAM's files and PyFG, and those with the same values."""
+TAGS, UNTAGGED = {*VERTICES, *EDGES, *PRIORS, *OFFSETS, "FIX"}, LINES["untagged"]
+SUFFIXES = (".g2o", ".graph", ".toro", ".txt", ".dat", ".csv")  # of graphs in a folder
 NAMED = re.compile("[A-Za-z][0-9]{1,16}")  # a name, as of gtsam's keys
 INFORMATION, COVARIANCE, ROOT = NOISES = ("information", "covariance", "root")  # What the noise of text states
 IN_SPACE_AS = {"half-angle": np.diag([1.0, 1, 1, 0.5, 0.5, 0.5]), "rotation-first": np.eye(6)[[3, 4, 5, 0, 1, 2]]}
@@ -104,6 +82,7 @@ class GraphFile:
     fixed: list[int]  # ids
     offsets: dict[int, Array]
     other: dict[str, int]  # number of lines that are not read, by tag
+    parts: list[tuple[int, Path, bool]]  # of each file the lines before it, and whether its rows have no tags
     priors: list[Edge] = field(default_factory=list)  # measured poses and positions, both ends the same
     noise: str = ""  # what text states, one of `NOISES`, or "" without text
     rows: bool = False  # EDGE2 are in the order of rows
@@ -123,20 +102,54 @@ class GraphFile:
         """What the noise of an edge states, one of `NOISES`."""
         return self.noise if self.named or edge.tag in TEXT or (edge.tag == "EDGE2" and self.rows) else INFORMATION
 
+    def wrong(self, line: int, what: str) -> DataError:
+        """The error at a line, in its own file."""
+        before, path, _ = [part for part in self.parts if part[0] < line][-1]
+        return DataError.at(path, what, line=line - before)
 
-def read_graph_file(path: Path, noise: str | None = None, *, bare: bool = False) -> GraphFile:
-    """Read a graph. `noise`: one of `NOISES`, `IN_SPACE_AS`; None: as the numbers suggest. `bare`: vertices suffice.
+
+def read_graph_file(
+    path: Path, noise: str | None = None, *, bare: bool = False, more: Sequence[Path] = ()
+) -> GraphFile:
+    """Read a graph from a file, or a folder of its one or two files, and `more` files. `noise`: one of `NOISES`,
+    `IN_SPACE_AS`; None: as the numbers suggest. `bare`: vertices suffice.
 
     Raises DataError with line and value: wrong fields, a number that is none, an information matrix that is not
     positive definite, a quaternion that is no rotation, an id that is repeated, or of two kinds, a pose without its
-    vertex where the file has some; and for a file without an edge.
+    vertex where the file has some; for a file without an edge, and a folder that may hold several graphs.
     """
-    return graph_file_of(path, bytes_of(path).decode("utf-8-sig", "replace"), noise, bare=bare)
+    inside = sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES) if path.is_dir() else [path]
+    texts = [(p, bytes_of(p).decode("utf-8-sig", "replace")) for p in (*inside, *more)]
+    graph = None if len(inside) not in (1, 2) else graph_file_of(*texts[0], noise, bare=bare, more=texts[1:])
+    if graph is None or (len(inside) == 2 and len({e.line > graph.parts[1][0] for e in graph.edges}) == 2):
+        raise DataError.at(path, UNTAGGED["folder"].format(len(inside), ", ".join(p.name for p in inside[:MOST_TAGS])))
+    return graph
 
 
-def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool = False) -> GraphFile:
-    """The graph of a text; errors, as of `read_graph_file`, name the path."""
+def _tagged(path: Path, text: str) -> tuple[list[str], bool]:
+    """Lines of a file, and whether it has no tags: then those by the number of its columns."""
     lines = text.splitlines()
+    if any(words_of(line)[0] in TAGS for line in lines):
+        return lines, False
+    rows = [re.split(r"[\s,;]+", line.split("#")[0].strip(" \t,;")) for line in lines]
+    tags = [UNTAGGED["tags"].get(str(len(row))) if all(map(is_number, row)) else None for row in rows]
+    first = next((i for i, tag in enumerate(tags) if tag), 0)
+    if first and rows[first - 1] != [""]:
+        if not re.match(UNTAGGED["names"], " ".join(rows[first - 1]), re.IGNORECASE):
+            raise DataError.at(path, UNTAGGED["needed"].format(", ".join(rows[first - 1])), line=first)
+        lines[first - 1] = f"# {lines[first - 1]}"
+    return [" ".join([t, *row]) if t else line for t, row, line in zip(tags, rows, lines, strict=True)], any(tags)
+
+
+def graph_file_of(
+    path: Path, text: str, noise: str | None = None, *, bare: bool = False, more: Sequence[tuple[Path, str]] = ()
+) -> GraphFile:
+    """The graph of a text, and of `more` files with theirs; errors, as of `read_graph_file`, name the path."""
+    lines, parts = list[str](), list[tuple[int, Path, bool]]()
+    for file, each in ((path, text), *more):
+        some, untagged = _tagged(file, each)
+        parts.append((len(lines), file, untagged))
+        lines += some
     words = [(number, words_of(line)) for number, line in enumerate(lines, start=1)]
     words = [(number, w) for number, w in words if w[0]]
     rows, meant = _layout(words)
@@ -144,20 +157,20 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
         meant = COVARIANCE
     space, noise = (noise or "", None) if noise in IN_SPACE_AS else ("", noise)
     noise = (noise or meant) if meant else ""
-    graph = GraphFile(path, lines, {}, {}, [], [], {}, {}, noise=noise, rows=rows, space=space, named=named)
+    graph = GraphFile(path, lines, {}, {}, [], [], {}, {}, parts, noise=noise, rows=rows, named=named, space=space)
     for number, (tag, *fields) in words:  # before the edges that name them
         if tag in OFFSETS:
-            (key,), values = _fields(path, number, tag, fields, 1, OFFSETS[tag])
-            graph.offsets[key] = _pose(path, number, tag, values)
+            (key,), values = _fields(graph, number, tag, fields, 1, OFFSETS[tag])
+            graph.offsets[key] = _pose(graph, number, tag, values)
     other, indefinite, own = Counter[str](), list[IndefiniteError](), list[Edge]()
     for number, (tag, *fields) in words:
         if tag in VERTICES:
             kind, count = VERTICES[tag]
-            (key,), values = _fields(path, number, tag, fields, 1, count)
+            (key,), values = _fields(graph, number, tag, fields, 1, count)
             known = graph.poses if kind in (POSE2, POSE3) else graph.points
             if key in known:
-                raise DataError.at(path, f"{tag}: vertex {key} is repeated; ids must be unique", line=number)
-            known[key] = kind, _pose(path, number, tag, values)
+                raise graph.wrong(number, f"{tag}: vertex {key} is repeated; ids must be unique")
+            known[key] = kind, _pose(graph, number, tag, values)
         elif tag in EDGES:
             try:
                 edge = _edge(graph, number, tag, fields)
@@ -167,7 +180,7 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
         elif tag in PRIORS:
             graph.priors.append(_prior(graph, number, tag, fields))
         elif tag == "FIX":
-            graph.fixed.extend(_fields(path, number, tag, fields, len(fields), 0)[0])
+            graph.fixed.extend(_fields(graph, number, tag, fields, len(fields), 0)[0])
         elif tag not in OFFSETS:
             other[tag] += 1
     if own:
@@ -175,13 +188,13 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
     graph.other.update(other)
     if indefinite:
         n, total = len(indefinite), len(indefinite) + len(graph.edges)
-        more = f"; so are those of {n} of {total} edges" * (n > 1)
-        raise DataError(f"{indefinite[0]}{more}")
+        so = f"; so are those of {n} of {total} edges" * (n > 1)
+        raise DataError(f"{indefinite[0]}{so}")
     if not graph.edges and not (bare and graph.poses):
         tags = Counter(w[0][:LONG] for _, w in words if w[0][0].isalpha()).most_common(MOST_TAGS)
         has = f"no edge of a graph among {', '.join(f'{n} {tag}' for tag, n in tags)}" if tags else "no edge of a graph"
-        untagged = f"; rows i j x y theta get one by sed -n 's/,/ /g; s/^[0-9]/EDGE_SE2 &/p' {path.name} > graph.g2o"
-        raise DataError.at(path, f"{has}; lines of g2o or Toro are needed, with a tag of {', '.join(EDGES)}{untagged}")
+        has += "; if another file has them, name both: slamref audit A B" * bool(graph.poses)
+        raise DataError.at(path, f"{has}; lines of g2o or Toro are needed, with a tag of {', '.join(EDGES)}")
     turns = np.abs([e.measured[2] for e in graph.edges if graph.kind(e) == (POSE2, POSE2)])
     if 2 * (turns > 2.0 * math.pi).sum() > np.count_nonzero(turns):
         raise DataError.at(path, "turns of most edges exceed 2 pi, as in degrees; rad, in their noise too, are needed")
@@ -198,7 +211,7 @@ def words_of(line: str, *, plain: bool = True) -> list[str]:
     if plain and any(map(NAMED.fullmatch, fields[:2])):
         fields = fields[NAMED.fullmatch(fields[0]) is None :]  # without its stamp
         fields = [str((ord(f[0]) << 56) + int(f[1:])) if NAMED.fullmatch(f) else f for f in fields]
-    return [ALIASES.get(upper, upper), *fields]
+    return [LINES["aliases"].get(upper, upper), *fields]
 
 
 def _layout(words: list[tuple[int, list[str]]]) -> tuple[bool, str]:
@@ -219,7 +232,6 @@ def _six(fields: list[str]) -> Array:
 
 def _check(graph: GraphFile) -> None:
     """Raise DataError for ends that are missing or of two kinds."""
-    path = graph.path
     kinds: dict[tuple[bool, int], str] = {(False, k): kind for k, (kind, _) in graph.poses.items()}
     kinds |= {(True, k): kind for k, (kind, _) in graph.points.items()}
     for edge in graph.edges:
@@ -230,22 +242,22 @@ def _check(graph: GraphFile) -> None:
             elif kinds.setdefault((point, key), kind) != kind:
                 what = f"{key} is a {kinds[point, key]}, where a {kind} is needed"
             if what:
-                raise DataError.at(path, f"{edge.tag}: {what}", line=edge.line)
+                raise graph.wrong(edge.line, f"{edge.tag}: {what}")
     for prior in graph.priors:
         where, kind = ("space", POSE3) if prior.tag in (IN_SPACE, POSE_IN_SPACE) else ("the plane", POSE2)
         if kinds.get((False, prior.ends[0])) != kind:
-            raise DataError.at(path, f"prior of {prior.ends[0]}: no pose in {where} has this id", line=prior.line)
+            raise graph.wrong(prior.line, f"prior of {prior.ends[0]}: no pose in {where} has this id")
     missing = next((key for key in graph.fixed if not kinds.keys() & {(False, key), (True, key)}), None)
     if missing is not None:
-        raise DataError.at(path, f"FIX {missing}: vertex {missing} is missing")
+        raise DataError.at(graph.path, f"FIX {missing}: vertex {missing} is missing")
 
 
-def _fields(path: Path, line: int, tag: str, fields: list[str], ids: int, count: int) -> tuple[tuple[int, ...], Array]:
+def _fields(graph: GraphFile, line: int, tag: str, fields: list[str], ids: int, count: int) -> tuple[list[int], Array]:
     if len(fields) != ids + count:
         more = " (of matrices the upper triangle)" if len(fields) > ids + count else ""
         more += f"; as gtsam and iSAM write it, {tag} has two ids, a place or pose, and its noise" * (tag in TEXT)
         more += "".join(f"; {word!r} is no number" for word in fields if not is_number(word))[:LONG]
-        raise DataError.at(path, f"{tag} with {len(fields)} numbers; {ids + count} are needed{more}", line=line)
+        raise graph.wrong(line, f"{tag} with {len(fields)} numbers; {ids + count} are needed{more}")
     keys = []
     for word in fields[:ids]:
         value = float(word) if is_number(word) else math.nan
@@ -253,7 +265,7 @@ def _fields(path: Path, line: int, tag: str, fields: list[str], ids: int, count:
         key = int(word) if whole else int(value) if 0.0 <= value <= LARGEST and value.is_integer() else -1
         if not 0 <= key < MOST_IDS:
             wanted = "an id, a whole number from 0 up" + f" and below {MOST_IDS}" * (key >= MOST_IDS)
-            raise DataError.at(path, f"{tag}: {word[:40]!r} is not {wanted}", line=line)
+            raise graph.wrong(line, f"{tag}: {word[:40]!r} is not {wanted}")
         keys.append(key)
     for word in fields[ids:]:
         value = float(word) if is_number(word) else math.nan
@@ -261,8 +273,8 @@ def _fields(path: Path, line: int, tag: str, fields: list[str], ids: int, count:
             wanted = f"a number of at most {HUGE:g}" if math.isfinite(value) else "a number"
             if is_number(point := word.replace(",", ".", 1)):
                 wanted += f"; write a point: {point[:40]}"
-            raise DataError.at(path, f"{tag}: {word[:40]!r} is not {wanted}", line=line)
-    return tuple(keys), np.array([float(f) for f in fields[ids:]])
+            raise graph.wrong(line, f"{tag}: {word[:40]!r} is not {wanted}")
+    return keys, np.array([float(f) for f in fields[ids:]])
 
 
 def _prior(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
@@ -270,34 +282,33 @@ def _prior(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
     measured, d = PRIORS[tag]
     count = measured + d * (d + 1) // 2
     sensor = tag == POSE_IN_SPACE and len(fields) != 1 + count
-    keys, values = _fields(graph.path, line, tag, fields, 1 + sensor, count)
+    keys, values = _fields(graph, line, tag, fields, 1 + sensor, count)
     key, offset = keys[0], keys[1] if sensor else -1
     if sensor and offset not in graph.offsets:
-        raise DataError.at(graph.path, f"{tag}: no PARAMS_SE3OFFSET {offset}, the sensor's place on it", line=line)
-    z, information = _pose(graph.path, line, tag, values[:measured]), symmetric(values[None, measured:])[0]
+        raise graph.wrong(line, f"{tag}: no PARAMS_SE3OFFSET {offset}, the sensor's place on it")
+    z, information = _pose(graph, line, tag, values[:measured]), symmetric(values[None, measured:])[0]
     A = IN_SPACE_AS.get(graph.space, np.eye(6))
     information = np.asarray(A.T @ information @ A) if d == 6 else information
     if d == 6 and not information[3:].any() and not (sensor and graph.offsets[offset][:3].any()):
         R = Rotation.from_quat(z[3:]).as_matrix()
         tag, z, information, offset = IN_SPACE, z[:3], R @ information[:3, :3] @ R.T, -1
-    _require_definite(graph.path, line, tag, information)
+    _require_definite(graph, line, tag, information)
     information = np.asarray(np.linalg.inv(information)) if graph.named else information
     return Edge(tag, (key, key), z, information, line, offset)
 
 
 def _edge(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
-    path = graph.path
     measured, d, *_ = EDGES[tag]
-    ids = IDS.get(tag, 2)
+    ids = LINES["ids"].get(tag, 2)
     entries = 2 if tag == "BR" else d * (d + 1) // 2
     bare = tag != "BR" and len(fields) == ids + measured
-    keys, values = _fields(path, line, tag, fields, ids, measured + entries * (not bare))
+    keys, values = _fields(graph, line, tag, fields, ids, measured + entries * (not bare))
     origin = Origin.ASSUMED if bare else Origin.STATED
-    edge = Edge(tag, (keys[0], keys[1]), _pose(path, line, tag, values[:measured]), np.eye(d), line, origin=origin)
+    edge = Edge(tag, (keys[0], keys[1]), _pose(graph, line, tag, values[:measured]), np.eye(d), line, origin=origin)
     if tag == "BR":
         stated = values[measured:]
         if not (stated > 0.0).all():
-            raise DataError.at(path, f"{tag}: sigma {stated.min():g} is not positive", line=line)
+            raise graph.wrong(line, f"{tag}: sigma {stated.min():g} is not positive")
         edge = replace(edge, information=np.diag(1.0 / stated**2))
     elif not bare:
         edge = replace(edge, information=_stated(graph, edge, values[measured:]))
@@ -310,7 +321,7 @@ def _edge(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
         return edge
     for key in keys[2:]:
         if key not in graph.offsets:
-            raise DataError.at(path, f"{tag}: no PARAMS_SE2OFFSET {key}, the sensor's place on the robot", line=line)
+            raise graph.wrong(line, f"{tag}: no PARAMS_SE2OFFSET {key}, the sensor's place on the robot")
     return _of_robot(edge, [graph.offsets[key] for key in keys[2:]]) if keys[2:] else edge
 
 
@@ -321,7 +332,7 @@ def _stated(graph: GraphFile, edge: Edge, entries: Array) -> Array:
         root = np.triu(symmetric(entries[None])[0])
         if not np.diagonal(root).all():
             what = f"{edge.tag}: the root of its information has a zero on its diagonal; a triangle of full rank"
-            raise DataError.at(graph.path, f"{what} is needed", line=edge.line)
+            raise graph.wrong(edge.line, f"{what} is needed")
         return np.asarray(root.T @ root)
     toro = edge.tag == "EDGE2" and not graph.rows
     matrix = symmetric((entries[TORO] if toro else entries)[None])[0]
@@ -329,11 +340,11 @@ def _stated(graph: GraphFile, edge: Edge, entries: Array) -> Array:
     if d == 3 and EDGES[edge.tag][2] == POSE2 and not toro and definite(symmetric(entries[None, TORO])).all():
         hint = "; it would be in Toro's order I11 I12 I22 I33 I13 I23, as of an EDGE2"
     tag = f"{edge.tag} {edge.ends[0]} {edge.ends[1]}"
-    _require_definite(graph.path, edge.line, tag, matrix, hint, "covariance" * (states == COVARIANCE))
+    _require_definite(graph, edge.line, tag, matrix, hint, "covariance" * (states == COVARIANCE))
     return np.asarray(np.linalg.inv(matrix), float) if states == COVARIANCE else matrix
 
 
-def _require_definite(path: Path, line: int, tag: str, matrix: Array, hint: str = "", name: str = "") -> None:
+def _require_definite(graph: GraphFile, line: int, tag: str, matrix: Array, hint: str = "", name: str = "") -> None:
     if not definite(matrix[None]).all():
         value = float(np.linalg.eigvalsh(matrix)[0])
         what = f"{tag}: its {name or 'information matrix'} is not positive definite (least eigenvalue {value:.3g})"
@@ -342,7 +353,7 @@ def _require_definite(path: Path, line: int, tag: str, matrix: Array, hint: str 
         i, j = np.unravel_index(np.argmax(np.abs(matrix) - most), matrix.shape)
         if not hint and abs(matrix[i, j]) > most[i, j]:  # it stands in the wrong place, or its diagonal does
             hint = f"; entry ({i + 1}, {j + 1}) is {matrix[i, j]:g}, at most {most[i, j]:.4g} beside its diagonal"
-        raise IndefiniteError.at(path, what + (hint or "; all eigenvalues must be above 0"), line=line)
+        raise IndefiniteError(str(graph.wrong(line, what + (hint or "; all eigenvalues must be above 0"))))
 
 
 def _of_robot(edge: Edge, offsets: list[Array]) -> Edge:
@@ -358,12 +369,12 @@ def _of_robot(edge: Edge, offsets: list[Array]) -> Edge:
     return replace(edge, measured=z, information=np.asarray(back.T @ edge.information @ back), carried=A)
 
 
-def _pose(path: Path, line: int, tag: str, values: Array) -> Array:
+def _pose(graph: GraphFile, line: int, tag: str, values: Array) -> Array:
     """The values; a quaternion normalized, roll, pitch and yaw as a quaternion."""
     if len(values) == 7:
         norm = float(np.linalg.norm(values[3:]))
         if abs(norm - 1.0) > UNIT:
-            raise DataError.at(path, f"{tag}: quaternion of norm {norm:.6g}; 1 is needed (qx qy qz qw)", line=line)
+            raise graph.wrong(line, f"{tag}: quaternion of norm {norm:.6g}; 1 is needed (qx qy qz qw)")
         return np.concatenate([values[:3], values[3:] / norm])
     if len(values) == 6:
         (cr, cp, cy), (sr, sp, sy) = np.cos(values[3:] / 2), np.sin(values[3:] / 2)
@@ -381,7 +392,7 @@ def with_information(graph: GraphFile, information: dict[int, Array], left_out: 
         elif k in information:
             words, plain = words_of(lines[edge.line - 1], plain=False), words_of(lines[edge.line - 1])
             measured, d, *_ = EDGES[tag := words[0]]
-            keep = words[: len(words) - len(plain) + 1 + IDS.get(tag, 2) + measured]
+            keep = words[: len(words) - len(plain) + 1 + LINES["ids"].get(tag, 2) + measured]
             stated, states = information[k], graph.states(edge)
             if edge.carried is not None:
                 stated = edge.carried.T @ stated @ edge.carried

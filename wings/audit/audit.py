@@ -229,7 +229,11 @@ def contradicting(
         best = min(together, key=lambda c: c.log_p, default=None)
         alone = inside.min(initial=0.0) < level
         if alone or (best is not None and best.log_p < factors.cluster_level(count)):
-            worst, explained = _worst(T, inside, loops, best) if alone or best is None else (best.factors, best.T)
+            one = int(np.argmin(inside - 0.5 * TIED * loops))
+            worst: tuple[int, ...] = (one,)
+            explained = float(T[one])
+            if best is not None and (not alone or best.log_p < inside[one] + (0.5 - loops[one]) * TIED):
+                worst, explained = best.factors, best.T
             theta = 1.0 + excess / max(f.system.rows - f.rank, 1)  # what a wider noise explains
             large = best is not None and worst is best.factors and factors.log_p_of(best.T / theta, best.rank) > level
             if turn >= FEW and ((steps - turn) * explained < excess or large):
@@ -258,14 +262,6 @@ def _errors(f: linear.Factored, left: IntArray, loops: BoolArray) -> int:
     while len(ends):  # those within a place of the first, at both ends
         count, ends = count + 1, ends[np.abs(ends - ends[0]).max(1) > 2 * factors.NEAR]
     return count
-
-
-def _worst(T: Array, log_p: Array, loops: BoolArray, best: Cluster | None) -> tuple[Sequence[int], float]:
-    """The factors to leave out next, one or the `best` cluster, and their T."""
-    worst = int(np.argmin(log_p - 0.5 * TIED * loops))
-    if best is not None and best.log_p < log_p[worst] + (0.5 - loops[worst]) * TIED:
-        return best.factors, best.T
-    return (worst,), float(T[worst])
 
 
 def searched(
@@ -549,7 +545,10 @@ def condition(f: linear.Factored, part: IntArray, metres: Sequence[IntArray], sh
     A = weighted_rows(f)
     norm = np.sqrt(np.asarray(A.multiply(A).sum(0)).ravel())
     unit = np.where(norm > 0.0, norm, 1.0)[:, None]
-    N = _null(f, A, unit)
+    dropped = f.dropped[-MOST:]
+    N = linear.solved(f, np.asarray(-(A.T @ A[:, dropped]).toarray()))  # motions that cost nothing, in sigmas `unit`
+    N[dropped, np.arange(len(dropped))] += 1.0
+    N = N * unit / np.maximum(np.abs(N * unit).max(0, initial=0.0), np.finfo(float).tiny)
     placed = np.array([len(each) > 0 for each in metres])
     for p in np.unique(part).tolist() if N.shape[1] else []:
         members = np.flatnonzero(part == p)
@@ -619,15 +618,6 @@ def _ranks(f: linear.Factored, N: Array, some: IntArray) -> IntArray:
 
 def _columns(f: linear.Factored, v: int) -> IntArray:
     return np.arange(f.at[v], f.at[v] + f.system.dim[v])
-
-
-def _null(f: linear.Factored, A: csr_matrix, unit: Array) -> Array:
-    """Motions (N, k) that cost nothing, one for each dropped column, in sigmas `unit` (N, 1), scaled to 1."""
-    dropped = f.dropped[-MOST:]
-    n = linear.solved(f, np.asarray(-(A.T @ A[:, dropped]).toarray()))
-    n[dropped, np.arange(len(dropped))] += 1.0
-    n *= unit
-    return np.asarray(n / np.maximum(np.abs(n).max(0, initial=0.0), np.finfo(float).tiny))
 
 
 def _duplicates(f: linear.Factored) -> tuple[tuple[int, int], ...]:

@@ -1,6 +1,5 @@
 """`slamref audit GRAPH`: any factor graph examined: which factor is wrong, which noise, what is unchecked."""
 
-import argparse
 import sys
 import time
 from collections.abc import Sequence
@@ -11,6 +10,7 @@ from data.terminal import ending
 from eval.plan.flags import command_of
 
 PROG = "slamref audit"
+SOON = 5.0  # s, until which no stage is told
 
 
 @ending()
@@ -19,13 +19,6 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     options = command_of(prog, PROG, "audit").read(argv)
     if options.optimize and options.as_given:
         raise UsageError("--optimize and --as-given contradict each other; give one of them")
-    return _audit(options, prog)
-
-
-SOON = 5.0  # s, until which no stage is told
-
-
-def _audit(options: argparse.Namespace, prog: str) -> int:
     from eval.report.words import say
     from wings.audit.examined import shown, shown_tables, write_audit
     from wings.audit.page import cured, opened
@@ -38,9 +31,10 @@ def _audit(options: argparse.Namespace, prog: str) -> int:
             sys.stderr.write(f"{passed:5.0f} s: {say(f'audit#{stage}', **numbers)}\n")
             sys.stderr.flush()
 
+    graph, *more = options.graph
     found = opened(
-        options.graph, optimize, options.draws, options.seed, resolve=20, noise=options.noise, steps=options.steps,
-        told=told,
+        graph, optimize, options.draws, options.seed, resolve=20, noise=options.noise, steps=options.steps, told=told,
+        more=more,
     )  # fmt: skip
     report = found.report
     parts = [report.words(), *(table.to_string(index=False) for table in shown_tables(report).values())]
@@ -48,7 +42,7 @@ def _audit(options: argparse.Namespace, prog: str) -> int:
         parts.append(f"The noise of text is taken as {found.file.noise} (--noise).")
     sys.stdout.write("\n\n".join(parts) + "\n")
     if options.out is not None:
-        name = Path(options.graph).name  # where a file lies is nobody else's business
+        name = " ".join(Path(file).name for file in options.graph)  # where they lie is nobody else's business
         write_audit(report, options.out, f"Audit of {name}", f"{prog} {name}")
         sys.stdout.write(f"\nwritten: {options.out.absolute()}\n")
     if options.rescale is not None:

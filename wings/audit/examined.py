@@ -104,6 +104,7 @@ class AuditReport:
     either: tuple[str, ...] = ()  # of ranges, that fit on both sides of the path
     even: tuple[float, ...] = ()  # information that relations of poses state for m and rad alike, if all do
     space: bool = False  # relations in space are read by gtsam's convention
+    untagged: bool = False  # rows without a tag were read by their number of columns
     held: int = 0  # directions of the gauge that a fixed vertex ties
     optimized: bool = False  # whether the optimizer ran first
 

@@ -294,15 +294,11 @@ def other_starts(file: GraphFile, values: gtsam.Values) -> dict[str, gtsam.Value
         for key, pose in poses.items():
             start.insert(key, pose)
         _follow(replace(file, poses={}, points={}), start)
-        out[title] = _shifted(start, value_of(values, first).compose(value_of(start, first).inverse()))
-    return out
-
-
-def _shifted(values: gtsam.Values, by: Any) -> gtsam.Values:
-    out = gtsam.Values()
-    for key in values.dims():
-        value = value_of(values, key)
-        out.insert(key, by.transformFrom(value) if isinstance(value, np.ndarray) else by.compose(value))
+        by = value_of(values, first).compose(value_of(start, first).inverse())
+        for key in start.dims():
+            value = value_of(start, key)
+            start.update(key, by.transformFrom(value) if isinstance(value, np.ndarray) else by.compose(value))
+        out[title] = start
     return out
 
 

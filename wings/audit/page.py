@@ -40,16 +40,16 @@ class Opened:
 
 def opened(
     place: str, optimize: bool | None, draws: int = DRAWS, seed: int = 0, *, resolve: int = 0, noise: str | None = None,
-    steps: int = TURNS, told: Told = unheard,
+    steps: int = TURNS, told: Told = unheard, more: Sequence[str] = (),
 ) -> Opened:  # fmt: skip
-    """The audit of a graph file, or of a `FILE.py:FUNCTION`; `noise` as of `read_graph_file`, the others of `audit` and
-    `examined`. `optimize` first; None: a file yes, the values of a function not. `resolve` is of a small graph.
+    """The audit of a graph file, or of a `FILE.py:FUNCTION`; `noise`, `more` as of `read_graph_file`, others of `audit`
+    and `examined`. `optimize` first; None: a file yes, the values of a function not. `resolve` is of a small graph.
     """
     script, _, function = place.rpartition(":")
     audit = partial(examined, draws=draws, seed=seed, steps=steps, told=told)
     with threadpool_limits(1):
         if not (script.endswith(".py") and function.isidentifier()):
-            file = read_graph_file(Path(place), noise)
+            file = read_graph_file(Path(place), noise, more=[Path(other) for other in more])
             return _of_file(file, audit, resolve, optimize=optimize is not False, told=told)
         made = load(settled("GRAPH", place, "maintenance")).thing()
         match made:
@@ -82,7 +82,8 @@ def _of_file(
     met = tuple(name(key) for key, some in seen(file).items() if some[0].ends[1] not in file.points)
     space = not file.space and any(e.origin is Origin.STATED and len(e.measured) == 7 for e in file.edges)
     report = replace(report, minima=minima, unread=unread, met=met, either=either, held=held, optimized=optimize)
-    return Opened(replace(report, even=_even(file), space=space), graph, values, file)
+    report = replace(report, even=_even(file), space=space, untagged=any(part[2] for part in file.parts))
+    return Opened(report, graph, values, file)
 
 
 def _even(file: GraphFile) -> tuple[float, ...]:

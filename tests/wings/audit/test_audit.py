@@ -66,11 +66,19 @@ def test_columns_and_rows(written):
     assert report.factors["redundancy"].sum() == pytest.approx(140 * 3 - 80 * 3, abs=1e-8)
     assert list(report.kinds.index) == ["odometry", "loop"]
     assert report.kinds["n"].sum() + 0 == 140
+    assert report.audit.decrement < 0.01
+    given = opened(written(grid()), optimize=False, draws=0)
+    assert given.audit.decrement > 1.0
+    assert "not the optimum" in given.words()
 
 
-def test_a_clean_graph_ends_with_0_a_wrong_loop_with_1(written, capsys):
+def test_a_clean_graph_ends_with_0_a_wrong_loop_with_1_and_its_tables(written, capsys, tmp_path):
     assert main([written(grid(seed=1)), "--draws", "0"]) == 0  # of seed 0, five loops agree by chance: p = 0.03
-    assert main([written(grid(seed=1, wrong=5.0)), "--draws", "0"]) == 1
+    assert main([written(grid(seed=1, wrong=5.0)), "--out", str(tmp_path / "out"), "--draws", "10"]) == 1
+    table = pd.read_csv(tmp_path / "out" / "factors.csv")
+    assert list(table.columns[:13]) == ["factor", *COLUMNS]
+    assert table["p_family"].idxmin() == 100
+    assert "<img" in (tmp_path / "out" / "report.html").read_text()
     out = capsys.readouterr().out
     assert "All but 1 factor of 140 agree with the stated noise" in out
     assert "Factor 100 (loop" in out
@@ -78,22 +86,7 @@ def test_a_clean_graph_ends_with_0_a_wrong_loop_with_1(written, capsys):
     assert "stated sigma of odometry" in capsys.readouterr().out
 
 
-def test_values_as_given_are_told_not_to_be_the_optimum(written):
-    report = opened(written(grid()), optimize=False, draws=0)
-    assert report.audit.decrement > 1.0
-    assert "not the optimum" in report.words()
-    assert opened(written(grid()), optimize=True, draws=0).audit.decrement < 0.01
-
-
-def test_files_of_an_output_folder(written, tmp_path):
-    assert main([written(grid(wrong=5.0)), "--out", str(tmp_path / "out"), "--draws", "10"]) == 1
-    table = pd.read_csv(tmp_path / "out" / "factors.csv")
-    assert list(table.columns[:13]) == ["factor", *COLUMNS]
-    assert table["p_family"].idxmin() == 100
-    assert "<img" in (tmp_path / "out" / "report.html").read_text()
-
-
-def test_a_function_of_a_script(written, capsys):
+def test_a_function_of_a_script(written, capsys, tmp_path):
     text = """
 import gtsam
 def build():
@@ -107,11 +100,14 @@ def other():
 """
     place = written(text, "mine.py")
     main([f"{place}:build", "--draws", "0"])
+    opened(f"{place}:build", None, draws=0).figure()  # factors of one variable
     assert "3 parts" in capsys.readouterr().out
     with pytest.raises(UsageError, match="returned int"):
         opened(f"{place}:other", None)
     with pytest.raises(UsageError, match=r"no 'nothing' in mine\.py"):
         opened(f"{place}:nothing", None)
+    with pytest.raises(UsageError, match="only a graph file"):
+        page.cured(page.opened(f"{place}:build", None, draws=0), tmp_path / "x.g2o")
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -173,9 +169,8 @@ def test_written_with_other_information(written):
     assert np.allclose(again.edges[3].information, np.diag([1.0, 2.0, 3.0]))
     file = read_graph_file(pathlib.Path(gtsam.findExampleDataFile("w100.graph")))
     stated = np.array([[4, 1, 0.5], [1, 5, 0.2], [0.5, 0.2, 6]])
-    assert np.allclose(
-        read_graph_file(pathlib.Path(written(with_information(file, {0: stated}, set())))).edges[0].information, stated
-    )
+    again = read_graph_file(pathlib.Path(written(with_information(file, {0: stated}, set()))))
+    assert np.allclose(again.edges[0].information, stated)
 
 
 def gtsams_minimum(path):
@@ -204,10 +199,24 @@ def test_text_of_isam_states_covariances_as_gtsam_reads_it(written):
     assert np.allclose(read_graph_file(pathlib.Path(again)).edges[0].information, np.diag([4.0, 5.0, 8.0]))
 
 
-def test_values_without_vertices_follow_the_edges(written):
-    text = "".join(line + "\n" for line in grid().splitlines() if line.startswith("EDGE"))
-    a, b = opened(written(text), None, draws=0), opened(written(grid()), None, draws=0)
-    assert a.factors["deleted"].to_numpy() == pytest.approx(b.factors["deleted"].to_numpy(), rel=1e-4, abs=1e-6)
+def test_edges_alone_and_two_files_without_tags_are_the_same_graph(written, tmp_path, refused):
+    rows = [line.split() for line in grid().splitlines()]
+    (folder := tmp_path / "two").mkdir()
+    for tag, names in (("VERTEX_SE2", "id,x,y,yaw"), ("EDGE_SE2", "i,j,dx,dy,dth,xx,xy,xt,yy,yt,tt")):
+        written("\n".join([names, *(",".join(row[1:]) for row in rows if row[0] == tag)]), f"two/{tag}.csv")
+    (e, v), whole = sorted(map(str, folder.iterdir())), opened(written(grid()), None, draws=0).factors["deleted"]
+    for place, more in ((e, ()), (v, [e]), (str(folder), ())):
+        own = opened(place, None, draws=0, more=more).factors["deleted"]
+        assert own.to_numpy() == pytest.approx(whole.to_numpy(), rel=1e-4, abs=1e-6)
+    assert main([v, e, "--draws", "0"]) == 1
+    assert "name both: slamref audit A B" in refused(main, [v])
+    for name, text, what in (
+        (v, "0,0,0,0\n1,1,0,0", "EDGE_SE2.csv:3: EDGE_SE2: vertex 2 is missing"),
+        (v, "id,theta,x,y\n0,0,0,0", "VERTEX_SE2.csv:1: columns id, theta, x, y; rows without tags are id x y theta"),
+        (f"{folder}/w.g2o", "", "3 files that may be of graphs (EDGE_SE2.csv, VERTEX_SE2.csv, w.g2o); one is needed"),
+    ):
+        pathlib.Path(name).write_text(text)
+        assert what in refused(main, [str(folder)])
 
 
 def test_indeterminate_variables_and_duplicates_are_named():
@@ -269,14 +278,6 @@ def test_a_gross_error_in_space_costs_no_sound_loop(tmp_path):
     found = page.opened(str(tmp_path / "g.g2o"), None, draws=0)
     made = page.cure(found.file, found.report.audit, found.values)
     assert [found.file.edges[k].ends for k in made.left_out] == [ends]
-
-
-def test_only_a_file_can_be_cured(written, tmp_path):
-    place = written("import gtsam\ndef build():\n    g, v = gtsam.NonlinearFactorGraph(), gtsam.Values()\n"
-                    "    v.insert(0, gtsam.Pose2())\n    g.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(),"
-                    " gtsam.noiseModel.Unit.Create(3)))\n    return g, v\n", "m.py")  # fmt: skip
-    with pytest.raises(UsageError, match="only a graph file"):
-        page.cured(page.opened(f"{place}:build", None, draws=0), tmp_path / "x.g2o")
 
 
 def test_another_minimum_is_named(written):
