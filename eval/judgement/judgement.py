@@ -22,7 +22,7 @@ from eval.judgement import runs as of_runs
 from eval.judgement.causes import Terms, cause_word, explanations, main_findings, of_trial, terms_of
 from eval.judgement.runs import Methods, Objected, Objection, RunJudgement, judged_runs, methods_of
 from eval.referee.attribution import CONTRADICTED, NOTHING, UNTELLABLE, Finding
-from eval.referee.consistency import FIT, NEES_LIMITS
+from eval.referee.consistency import NEES_LIMITS, UNSUSPICIOUS
 from eval.referee.diagnostics import of_wings
 from eval.referee.errors import position_distance, rms
 from eval.referee.lost import informed
@@ -229,7 +229,7 @@ class Judgement:
     @property
     def misfit(self) -> RunJudgement | None:
         """The filter, else the smoother, whose innovations do not fit."""
-        return next((r for r in self.compared.pair if r.nis_verdict not in ("", FIT)), None)
+        return next((r for r in self.compared.pair if r.nis_verdict not in UNSUSPICIOUS), None)
 
     @property
     def tone(self) -> Tone:
@@ -422,7 +422,7 @@ def _covariances(
     """Whether nothing objects to the model, or to the estimator that is named; the other one is spared."""
     if verdict is Verdict.NEITHER or (verdict is Verdict.CAUSE and cause is not None and cause.word != NOTHING):
         return False
-    if not measured and any(r.nis_verdict not in ("", FIT) for r in compared.pair):
+    if not measured and any(r.nis_verdict not in UNSUSPICIOUS for r in compared.pair):
         return False
     named = {"", *(r.estimator for r in _named(verdict, compared))}
     return not any(o.estimator in named for o in objections)

@@ -72,7 +72,9 @@ NEES_LIMITS = {2: 7.06, 3: NEES_LIMIT}  # By degrees of freedom: 2 of the positi
 ASTRAY_NEES = 300.0  # mean pose NEES of a path that is not where it claims to be: 10 sigma in each of three coordinates
 
 CONSISTENT, OVERCONFIDENT, CONSERVATIVE, TOO_FEW = "consistent", "overconfident", "conservative", "not enough runs"
-FIT, LARGE, SMALL = "innovations fit", "NIS too large", "NIS too small"
+FIT, LARGE, SMALL, FEW = "innovations fit", "NIS too large", "NIS too small", "too few for a verdict"
+UNSUSPICIOUS = ("", FIT, FEW)
+WIDEST = 10.0  # ratio of its bounds above which a NIS below them tells nothing: with fewer than 7 degrees of freedom
 WHITE, CORRELATED, ANTICORRELATED = "white", "correlated", "anticorrelated"
 Words = tuple[str, str, str]
 """Of a property: as expected, above, below. Errors (NEES), innovations (NIS) and their whiteness have words each."""
@@ -216,7 +218,8 @@ def innovations_word(nis: float, lower: float, upper: float, lag1: float = math.
     """
     if not all(map(math.isfinite, (nis, lower, upper))):
         return ""
-    return CORRELATED if correlated(lag1, lag1_se) else LARGE if nis > upper else SMALL if nis < lower else FIT
+    below = SMALL if upper <= WIDEST * lower else FEW
+    return CORRELATED if correlated(lag1, lag1_se) else LARGE if nis > upper else below if nis < lower else FIT
 
 
 def coverage(values: Array, dof: int, level: float) -> Verdict:

@@ -144,7 +144,8 @@ def test_innovations_that_follow_each_other_are_correlated_before_their_size_is_
     assert consistency.innovations_word(1.0, 0.9, 1.1, 0.05, 0.001) == "innovations fit", (
         "significant, and too small to matter"
     )
-    assert consistency.innovations_word(1.2, 0.9, 1.1) == "NIS too large"
+    few, more = (consistency.innovations_word(0.0, *consistency.nis_bounds(dof)) for dof in (6, 7))
+    assert (few, more) == ("too few for a verdict", "NIS too small")
     assert consistency.innovations_word(math.nan, 0.9, 1.1, 0.72, 0.06) == ""
     r = 0.1 * np.random.default_rng(12).standard_normal(60)
     v = consistency.whiteness(r)
