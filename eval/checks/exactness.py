@@ -43,7 +43,7 @@ Bug = StrEnum(
     "EVERY_SECOND_DROPPED ALL_DROPPED DISCARDED_USED POSE_IN_BODY_FRAME JOINT_UNCORRELATED JOINT_PERMUTED "
     "EXPECTED_WITH_NOISE EXPECTED_WITHOUT_LANDMARK EXPECTED_BEFORE_MOTION NIS_IS_DOF NIS_OF_RESIDUALS "
     "NIS_WITHOUT_STATE NIS_WITHOUT_NOISE NIS_UNCORRELATED PRIOR_ELSEWHERE ONE_DRAW LIKELIHOODS_ADDED "
-    "WEIGHTS_FORGOTTEN WEIGHTS_KEPT NOT_RESAMPLED DEPLETED",
+    "WEIGHTS_FORGOTTEN WEIGHTS_KEPT NOT_RESAMPLED DEPLETED ACROSS_PI",
 )  # mistakes in a Kalman filter; `templates/checks.j2` has the words
 
 Change = Callable[[Array], Array]
@@ -378,6 +378,7 @@ ALIKE, TOGETHER = 0.1, 0.01
 """A mistake is named if its filter is this much closer to the estimator than the exact one; several, or one by some
 frames alone, if it is closer still: of the pairs with the `NEAREST`, `TRIED` whose consequences almost add up."""
 NEAREST, TRIED = 16, 48
+SEAM = 4.0  # sigmas from pi of an expected bearing that may be on either side of it
 KNOWN = 1e-4  # rad; a heading with a smaller standard deviation is known
 GATE, NEW_GATE = 0.99, 0.99999
 
@@ -505,6 +506,8 @@ def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:
         early = numbers(given[:until], right[: len(given[:until])])
         bugs = bugs or likely(world, task, early, only, most=1 if drawn or only else 3)
     bugs = bugs or (() if elsewhere else first_step(text, inputs_of(world, task), allowed))
+    if not bugs and not drawn and world == worlds.MILD and largest[Quantity.POSE] > allowed:
+        bugs = across_pi(text, inputs_of(world, task), frames, right, largest[Quantity.POSE])
     left_out = len(begin) > 1 and all(np.isin(g.used, r.used).all() for g, r in zip(given, right, strict=False))
     facts: list[Fact] = []
     for q in order:
@@ -528,6 +531,22 @@ def first_step(text: str, inputs: Inputs, allowed: float) -> tuple[Bug, ...]:
         return ()
     off = differences(replace(right, pose=pose, covariance=P), right)
     return (Bug.PRIOR_ELSEWHERE,) if max(off.values()) > max(allowed, NEARLY) else ()
+
+
+def across_pi(text: str, inputs: Inputs, frames: Frames, right: Sequence[State], worst: float) -> tuple[Bug, ...]:
+    """Whether poses that are `worst` sigmas off agree without landmarks whose bearings may be on both sides of pi:
+    those of sigma points, or measured and expected.
+    """
+    near: Frames = []
+    for (frame, decisions), state in zip(frames, right, strict=True):
+        if (e := state.expected) is not None:
+            sigma = np.sqrt(e.blocks[:, 1, 1] + e.R[:, 1, 1].max())
+            behind = e.number[math.pi - np.abs(wrap_angle(e.z_hat[:, 1])) < SEAM * sigma]
+            decisions = np.where(np.isin(decisions, behind), DISCARD, decisions)
+        near.append((frame, decisions))
+    given = recorded(text, inputs, near, exact=False)[0]
+    off = [differences(g, r)[Quantity.POSE] for g, r in zip(given, states_of(near, inputs, RIGHT), strict=False)]
+    return (Bug.ACROSS_PI,) if len(off) == len(frames) and max(off) < ALIKE * worst else ()
 
 
 def of_samples(text: str, inputs: Inputs, frames: Frames) -> tuple[str, tuple[Bug, ...], bool]:

@@ -58,8 +58,16 @@ def test_bearings_not_wrapped_are_named_of_pairings_used_one_by_one_and_whatever
 
         Q = lambda self, M: 3.3 * M  # noqa: E731
 
-    (found,) = exactness.exactness(text_of(Later, "estimator"), "localization")
-    assert {f.bugs for f in found.facts} == {(Bug.INNOVATION_NOT_WRAPPED,)}
+    class Averaged(Plain):
+        exact = False
+
+        def innovation(self, z, z_hat):
+            points = wrapped(z_hat[:, 1:] + [0.002, 0.0, -0.002]).mean(axis=1)  # of sigma points
+            return super().innovation(z, np.column_stack([z_hat[:, 0], points]))
+
+    for estimator, bug in ((Later, Bug.INNOVATION_NOT_WRAPPED), (Averaged, Bug.ACROSS_PI)):
+        (found,) = exactness.exactness(text_of(estimator, "estimator"), "localization")
+        assert {f.bugs for f in found.facts} == {(bug,)}
 
 
 def test_a_motion_that_divides_by_its_turn_stops_in_a_step_without_one():
