@@ -1,8 +1,10 @@
 """The violated assumption that a diagnosis names, in a word, and its evidence in a person's units."""
 
 import math
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from data.inputs import Inputs
 from data.notice import Code
@@ -15,23 +17,12 @@ from eval.studies.diagnosis import Trust
 from eval.studies.sampled import PLAIN, STAND_IN
 
 STANDS_OUT = 3.0  # standard errors from which a slope is named without bootstrap replicates
-SHARE, ANGLE, CURVATURE = ("%", 100.0), ("°", 180.0 / math.pi), ("rad/m", 1.0)
-RATE = ("ms/s", 1000.0)
 METRES, SECONDS, DRIFT, SPEED = ("m", 1.0), ("s", 1.0), ("rad/s", 1.0), ("m/s", 1.0)
-UNITS = {
-    "z1_constant": METRES,
-    "z2_constant": ANGLE,
-    "odometry_y_distance": ANGLE,
-    "odometry_theta_time": DRIFT,
-    "latency_growth": RATE,
-    **dict.fromkeys(("odometry_theta_distance", "z2_range"), CURVATURE),
-    **dict.fromkeys(("odometry_x_turn", "odometry_y_turn", "bias", "mount", "mount_x", "mount_y"), METRES),
-    **dict.fromkeys(("odometry_current", "odometry_current_x", "odometry_current_y"), SPEED),
-    **dict.fromkeys(("odometry_x_distance", "odometry_theta_turn", "odometry_integration"), SHARE),
-    **dict.fromkeys(("odometry_scale", "odometry_wheels", "z1_range", "z2_scale", "map_scale"), SHARE),
-}  # a person's unit of each systematic error and its factor from SI; those not named here are times
-OF_SOURCES = {"theta": ANGLE, "scale": SHARE, "latency": SECONDS}  # of fixes and closures, by error; else METRES
-OF_POINTS = {"z2_constant": METRES, "z2_range": ANGLE}
+_OWN = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+UNITS, OF_SOURCES, OF_POINTS = (
+    {name: (unit, _OWN["factors"].get(unit, 1.0)) for unit, names in _OWN[part].items() for name in names}
+    for part in ("systematic", "sources", "points")
+)  # by error a person's unit and its factor from SI
 OF_FRAMES = {SECONDS: ("frames", 1.0), DRIFT: ("rad/frame", 1.0), SPEED: ("m/frame", 1.0)}
 """Units of a log without stamps, whose time is the number of the frame."""
 LATE = ("latency", "latency_growth", "odometry_latency")  # errors of time stamps

@@ -120,7 +120,10 @@ def explanations(e: Evidence, taken: Sequence[str]) -> list[Explanation]:
     """All explanations of the residuals, the best first; `taken`: systematic errors that are estimated already."""
     landmarks, spreads = _landmarks(e), _spreads(e)
     tails, even = _tails(e, e.observations)
-    tails = [] if any(_are_of(e, x) for x in landmarks) else tails
+    for x in landmarks:  # are the tails those of one landmark, without whose observations they gain next to nothing?
+        own = np.isin(e.used.number, np.flatnonzero(e.used.identity == int(x.finding.name)))
+        gain = sum(t.finding.gain for t in _tails(e, np.where(own[:, None], np.nan, e.observations))[0])
+        tails = [] if x.net > 0.0 and gain < SAME * sum(t.finding.gain for t in tails) else tails
     scale = max((x.net for x in spreads if x.finding.said == SCALE), default=0.0)
     found = [*_linear(e, taken), *spreads, *_changes(e, even), *_correlations(e, scale), *tails, *landmarks]
     for of in of_sources(e.inputs, e.path, e.used):
@@ -404,14 +407,6 @@ def _correlations(e: Evidence, alike: float) -> list[Explanation]:
     finding = Finding(NOISE, CORRELATION, "z", r, gain=max(alike, 0.0) + ordered)
     apart = r > 0.0 and beyond > max(alike, 0.0)
     return [Explanation(finding, max(alike, 0.0) + beyond, (), (SCALE,), beyond)] if apart else []
-
-
-def _are_of(e: Evidence, landmark: Explanation) -> bool:
-    """Whether heavy tails are those of one landmark: without its observations they gain next to nothing."""
-    row = np.flatnonzero(e.used.identity == int(landmark.finding.name))
-    others = np.where(np.isin(e.used.number, row)[:, None], np.nan, e.observations)
-    gain = [sum(x.finding.gain for x in _tails(e, values)[0]) for values in (others, e.observations)]
-    return landmark.net > 0.0 and gain[0] < SAME * gain[1]
 
 
 def _tails(e: Evidence, observations: Array) -> tuple[list[Explanation], Array]:

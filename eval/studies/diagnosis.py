@@ -262,9 +262,13 @@ def _head_first(findings: Sequence[Finding], indicated: Finding | None) -> list[
 
 
 def _leading(found: Sequence[tuple[float, Finding]]) -> list[tuple[float, Finding]]:
-    """Findings with gains that may lead: systematic errors near the largest (they make noise look larger), else all."""
+    """Findings with gains that may lead: systematic errors near the largest (they make noise look larger), else all.
+    Where errors last, the gain of a systematic one is so many times too large (`explanations.excess`).
+    """
     most, top = max(found, key=lambda x: x[0], default=(0.0, None))
     smaller = top is not None and top.kind == "sigma" and top.size < 1.0
+    if top is not None and top.kind == explanations.CORRELATION:
+        most *= (1.0 + top.size) / max(1.0 - top.size, 0.02)
     return [x for x in found if x[1].kind == "systematic" and x[0] >= FIRST * most and not smaller] or [*found]
 
 
@@ -325,17 +329,12 @@ def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[li
     most = max(REMOVED * before, STANDS_OUT)
     if after >= most and any(f.kind != "systematic" for f in findings):
         # another noise changes every statistic, so the corrected log has replicates of its own
-        usual, spread = _usual_and_spread(_replicated(log, made, inputs, smoother))
+        source = source_of(replace(log, recorded=replace(inputs, map=log.recorded.map)), smoother, (), Setup())
+        drawn = (inputs_of(twin(source, seed), made.task, made.association) for seed in range(FEWEST))
+        runs = ((again, own) for own in drawn if (again := _refitted(own, smoother)) is not None)
+        usual, spread = _usual_and_spread([_in_errors(truth_free.of_smoother(*each)) for each in runs])
         after = _furthest(left, usual, spread)
     return findings, after < most
-
-
-def _replicated(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> list[dict[str, float]]:
-    """Statistics of replicates of a corrected log, under the decisions of its smoother."""
-    source = source_of(replace(log, recorded=replace(inputs, map=log.recorded.map)), smoother, (), Setup())
-    drawn = (inputs_of(twin(source, seed), made.task, made.association) for seed in range(FEWEST))
-    runs = ((again, own) for own in drawn if (again := _refitted(own, smoother)) is not None)
-    return [_in_errors(truth_free.of_smoother(*each)) for each in runs]
 
 
 def _less(inputs: Inputs, smoother: Run) -> Inputs:
