@@ -81,7 +81,7 @@ class GraphFile:
     edges: list[Edge]  # in order
     fixed: list[int]  # ids
     offsets: dict[int, Array]
-    other: dict[str, int]  # number of lines that are not read, by tag
+    other: Counter[str]  # number of lines that are not read, by tag
     parts: list[tuple[int, Path, bool]]  # of each file the lines before it, and whether its rows have no tags
     priors: list[Edge] = field(default_factory=list)  # measured poses and positions, both ends the same
     noise: str = ""  # what text states, one of `NOISES`, or "" without text
@@ -111,8 +111,8 @@ class GraphFile:
 def read_graph_file(
     path: Path, noise: str | None = None, *, bare: bool = False, more: Sequence[Path] = ()
 ) -> GraphFile:
-    """Read a graph from a file, or a folder of its one or two files, and `more` files. `noise`: one of `NOISES`,
-    `IN_SPACE_AS`; None: as the numbers suggest. `bare`: vertices suffice.
+    """Read a graph from a file, or a folder of its one or two files, and `more` files; a vertex of several counts as in
+    the first. `noise`: one of `NOISES`, `IN_SPACE_AS`; None: as the numbers suggest. `bare`: vertices suffice.
 
     Raises DataError with line and value: wrong fields, a number that is none, an information matrix that is not
     positive definite, a quaternion that is no rotation, an id that is repeated, or of two kinds, a pose without its
@@ -157,20 +157,26 @@ def graph_file_of(
         meant = COVARIANCE
     space, noise = (noise or "", None) if noise in IN_SPACE_AS else ("", noise)
     noise = (noise or meant) if meant else ""
-    graph = GraphFile(path, lines, {}, {}, [], [], {}, {}, parts, noise=noise, rows=rows, named=named, space=space)
+    graph = GraphFile(
+        path, lines, {}, {}, [], [], {}, Counter(), parts, noise=noise, rows=rows, named=named, space=space
+    )
     for number, (tag, *fields) in words:  # before the edges that name them
         if tag in OFFSETS:
             (key,), values = _fields(graph, number, tag, fields, 1, OFFSETS[tag])
             graph.offsets[key] = _pose(graph, number, tag, values)
-    other, indefinite, own = Counter[str](), list[IndefiniteError](), list[Edge]()
+    seen, indefinite, own = dict[tuple[str, int], int](), list[IndefiniteError](), list[Edge]()
     for number, (tag, *fields) in words:
         if tag in VERTICES:
             kind, count = VERTICES[tag]
             (key,), values = _fields(graph, number, tag, fields, 1, count)
             known = graph.poses if kind in (POSE2, POSE3) else graph.points
-            if key in known:
+            file_number = sum(before < number for before, *_ in parts)
+            if seen.setdefault((kind, key), file_number) < file_number:
+                graph.other[f"{tag} again"] += 1
+            elif key in known:
                 raise graph.wrong(number, f"{tag}: vertex {key} is repeated; ids must be unique")
-            known[key] = kind, _pose(graph, number, tag, values)
+            else:
+                known[key] = kind, _pose(graph, number, tag, values)
         elif tag in EDGES:
             try:
                 edge = _edge(graph, number, tag, fields)
@@ -182,10 +188,9 @@ def graph_file_of(
         elif tag == "FIX":
             graph.fixed.extend(_fields(graph, number, tag, fields, len(fields), 0)[0])
         elif tag not in OFFSETS:
-            other[tag] += 1
+            graph.other[tag] += 1
     if own:
-        other[f"{own[0].tag} from a vertex to itself (line {own[0].line}{' first' * (len(own) > 1)})"] = len(own)
-    graph.other.update(other)
+        graph.other[f"{own[0].tag} from a vertex to itself (line {own[0].line}{' first' * (len(own) > 1)})"] = len(own)
     if indefinite:
         n, total = len(indefinite), len(indefinite) + len(graph.edges)
         so = f"; so are those of {n} of {total} edges" * (n > 1)

@@ -93,14 +93,9 @@ def _even(file: GraphFile) -> tuple[float, ...]:
     return tuple(alone) if all(np.array_equal(P, P[0, 0] * np.eye(len(P))) for P in relations) else ()
 
 
-def rows_of(graph: Graph) -> int:
-    """Dimensions of all factors."""
-    return sum(graph.at(i).dim() for i in range(graph.size()))
-
-
 def _ends(file: GraphFile, graph: Graph, values: Values) -> dict[str, Values]:
     """Where the optimizer ends, by start; of a large graph with far worse vertices from the other start alone."""
-    poor = BAD * max(rows_of(graph) - sum(values.dims().values()), 1)
+    poor = BAD * max(sum(graph.at(i).dim() for i in range(graph.size())) - sum(values.dims().values()), 1)
     if graph.size() > LARGEST and 2.0 * graph.error(values) > FAR_OFF * poor:
         starts = other_starts(file, values)
         near = min(starts, key=lambda start: graph.error(starts[start]), default="")

@@ -178,11 +178,11 @@ def test_a_plain_run_names_what_comes_first_with_replicates(arena):
 
 
 def test_a_systematic_error_is_named_before_a_larger_noise_and_not_before_one_that_dwarfs_it():
-    bias, sigma = (
-        attribution.Finding(attribution.NOISE, "systematic", "z2_constant", 1.0, gain=30.0),
-        attribution.Finding(attribution.NOISE, "sigma", "z", 2.0, gain=200.0),
-    )
+    bias = attribution.Finding(attribution.NOISE, "systematic", "z2_constant", 1.0, gain=30.0)
+    sigma = attribution.Finding(attribution.NOISE, "sigma", "z", 2.0, gain=200.0)
     assert _head_first([sigma, bias], None) == [bias, sigma]
+    lasting = replace(sigma, kind="correlation", size=0.9)  # makes gains of systematic errors 19 times too large
+    assert _head_first([bias, lasting], None) == [lasting, bias]
     small = replace(bias, gain=19.0)
     assert _head_first([small, sigma], small) == [sigma, small]
     too_large = replace(sigma, size=0.2)  # no error makes noise look smaller

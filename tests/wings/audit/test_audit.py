@@ -205,7 +205,7 @@ def test_edges_alone_and_two_files_without_tags_are_the_same_graph(written, tmp_
     for tag, names in (("VERTEX_SE2", "id,x,y,yaw"), ("EDGE_SE2", "i,j,dx,dy,dth,xx,xy,xt,yy,yt,tt")):
         written("\n".join([names, *(",".join(row[1:]) for row in rows if row[0] == tag)]), f"two/{tag}.csv")
     (e, v), whole = sorted(map(str, folder.iterdir())), opened(written(grid()), None, draws=0).factors["deleted"]
-    for place, more in ((e, ()), (v, [e]), (str(folder), ())):
+    for place, more in ((e, ()), (v, [e]), (v, [written(grid())]), (str(folder), ())):
         own = opened(place, None, draws=0, more=more).factors["deleted"]
         assert own.to_numpy() == pytest.approx(whole.to_numpy(), rel=1e-4, abs=1e-6)
     assert main([v, e, "--draws", "0"]) == 1
