@@ -43,7 +43,7 @@ Bug = StrEnum(
     "EVERY_SECOND_DROPPED ALL_DROPPED DISCARDED_USED POSE_IN_BODY_FRAME JOINT_UNCORRELATED JOINT_PERMUTED "
     "EXPECTED_WITH_NOISE EXPECTED_WITHOUT_LANDMARK EXPECTED_BEFORE_MOTION NIS_IS_DOF NIS_OF_RESIDUALS "
     "NIS_WITHOUT_STATE NIS_WITHOUT_NOISE NIS_UNCORRELATED PRIOR_ELSEWHERE ONE_DRAW LIKELIHOODS_ADDED "
-    "WEIGHTS_FORGOTTEN WEIGHTS_KEPT NOT_RESAMPLED DEPLETED ACROSS_PI",
+    "WEIGHTS_FORGOTTEN WEIGHTS_KEPT NOT_RESAMPLED DEPLETED ACROSS_PI OWN_GATE",
 )  # mistakes in a Kalman filter; `templates/checks.j2` has the words
 
 Change = Callable[[Array], Array]
@@ -74,6 +74,7 @@ class Rules:
     joint: Change = same  # as the association method gets it
     turned_back: bool = False  # bearings that are not wrapped are expected as atan2(y, x) - heading
     one_by_one: bool = False  # an update for each pairing, linearized after the one before; no mistake
+    gate: float = math.inf  # squared distance of a pairing from which it is not used
     joseph: bool = False  # the covariance's update for any gain, instead of the one for the optimal gain
     mistakes: tuple[Bug, ...] = ()  # all by name, also those that no field above has
 
@@ -147,6 +148,7 @@ CHANGES: dict[Bug, Changes] = {
     Bug.NEW_NO_HEADING: ({"Gx": scaled(1.0, 1.0, 0.0)},), Bug.NEW_NOISE_NOT_TURNED: ({"Gz": lambda Gz: np.eye(2)},),
     Bug.FIRST_DROPPED: ({"used": lambda rows: rows[1:]},), Bug.LAST_DROPPED: ({"used": lambda rows: rows[:-1]},),
     Bug.EVERY_SECOND_DROPPED: ({"used": lambda rows: rows[::2]},), Bug.ALL_DROPPED: ({"used": lambda rows: rows[:0]},),
+    Bug.OWN_GATE: tuple({"gate": v} for v in (4.0, 5.99, 7.81, 9.0, 9.21, 11.83, 13.82)),
     Bug.JOINT_UNCORRELATED: ({"joint": blocks_alone},), Bug.JOINT_PERMUTED: ({"joint": permuted},),
 }  # fmt: skip
 
@@ -295,6 +297,9 @@ class Kalman:
                 nu[:, 1] = unwrapped(z[:, 1], z_hat[:, 1], self.x[2])
         HPH, noise, stated = H @ self.P @ H.T, block_diagonal(r.R(R)), block_diagonal(R)
         S = r.S(HPH + noise)
+        own = np.linalg.pinv(diagonal_blocks(HPH + stated)) if r.gate < math.inf else np.zeros((k, 2, 2))
+        if not (inside := np.einsum("ki,kij,kj->k", nu, own, nu) < r.gate).all():
+            return self._correct(z[inside], R[inside], number[inside])
         inverse = np.linalg.pinv(S)
         K = (inverse @ H @ self.P).T
         shift = K @ nu.ravel()

@@ -82,15 +82,11 @@ def _of_file(
     met = tuple(name(key) for key, some in seen(file).items() if some[0].ends[1] not in file.points)
     space = not file.space and any(e.origin is Origin.STATED and len(e.measured) == 7 for e in file.edges)
     report = replace(report, minima=minima, unread=unread, met=met, either=either, held=held, optimized=optimize)
-    report = replace(report, even=_even(file), space=space, untagged=any(part[2] for part in file.parts))
-    return Opened(report, graph, values, file)
-
-
-def _even(file: GraphFile) -> tuple[float, ...]:
-    """The information of relations of poses if each states one number for m and rad."""
     relations = [e.information for e in file.edges if e.origin is Origin.STATED and len(e.information) > 2]
-    alone = sorted({float(P[0, 0]) for P in relations})
-    return tuple(alone) if all(np.array_equal(P, P[0, 0] * np.eye(len(P))) for P in relations) else ()
+    alike = all(np.array_equal(P, P[0, 0] * np.eye(len(P))) for P in relations)  # one number for m and rad
+    even = tuple(sorted({float(P[0, 0]) for P in relations})) if alike else ()
+    report = replace(report, even=even, space=space, untagged=any(part[2] for part in file.parts))
+    return Opened(report, graph, values, file)
 
 
 def _ends(file: GraphFile, graph: Graph, values: Values) -> dict[str, Values]:

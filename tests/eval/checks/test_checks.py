@@ -59,12 +59,7 @@ WRONG = [
     (exactness, "slam", wrong.OwnRange, "landmarks off .* a range and bearing of your own, .* do not fit it"),
     (estimators.removal, "slam", wrong.Returning, "landmark 0 was removed and is in the map again"),
     (exactness, "slam", wrong.Blurred, "HPH' off by up to"),
-    (
-        estimators.runs,
-        "localization",
-        wrong.Drifting,
-        "our EKF's path of an ordinary log, .* was expected within 1 sigma",
-    ),
+    (estimators.runs, "localization", wrong.Drifting, "our EKF's path of an ordinary log, .* expected within 1 sigma"),
     (estimators.runs, "slam", wrong.Dead, r"stopped at frame 1: Dead.predict raised OSError: flat battery \(wrong.py"),
 ]
 

@@ -40,14 +40,15 @@ def pinned(self, nu, S, R, rows):
     return float(nu @ np.linalg.pinv(S) @ nu)
 
 
-def half_cross(self, Gx, Gz, R):
-    cross, own = Plain.founded(self, Gx, Gz, R)
-    return 0.5 * cross, own
+def of_cross(share):
+    return lambda self, *of: (share * (made := Plain.founded(self, *of))[0], made[1])
 
 
-def no_cross(self, Gx, Gz, R):
-    cross, own = Plain.founded(self, Gx, Gz, R)
-    return 0.0 * cross, own
+def gated(self, K, nu, H, R, S):
+    each = [nu[i : i + 2] @ np.linalg.solve(S[i : i + 2, i : i + 2], nu[i : i + 2]) for i in range(0, len(nu), 2)]
+    in_ = np.repeat(np.array(each) < 6.0, 2)
+    H, R, S = H[in_], R[np.ix_(in_, in_)], S[np.ix_(in_, in_)]
+    Plain.correct(self, self.gain(H, S), nu[in_], H, R, S)
 
 
 def pose_alone(self, Gx, Gz, R):
@@ -207,6 +208,7 @@ MUTANTS = {
     "Jacobian-sign-of-position": (mutant(Hx=lambda s, H: H * [[1, 1, 1], [-1, -1, 1]]), Bug.JACOBIAN_SIGN_OF_POSITION),
     "Jacobian-sign": (mutant(Hx=lambda s, H: H * [1, 1, -1]), Bug.JACOBIAN_SIGN_OF_HEADING),
     "Jacobian-without-landmark": (mutant(Hl=lambda s, H: 0 * H), Bug.JACOBIAN_NO_LANDMARK),
+    "own-gate": (mutant(correct=gated, nis=lambda *_: np.nan), Bug.OWN_GATE),
     "no-wrap": (mutant(innovation=lambda s, z, z_hat: z - z_hat), Bug.INNOVATION_NOT_WRAPPED),
     "wrap-to-0-2pi": (
         mutant(innovation=lambda s, z, h: s.sensor.residual(z, h) % [1e9, 2 * np.pi] if s.sensor.kind == 0 else z - h),
@@ -226,8 +228,8 @@ MUTANTS = {
     "mean-not-updated": (mutant(step=lambda s, K, nu: 0 * K[:, 0]), Bug.MEAN_NOT_UPDATED),
     "map-not-corrected": (mutant(step=only_pose), Bug.MEAN_OF_MAP_NOT_UPDATED),
     "cross-covariance-not-updated": (mutant(shrunk=stale_cross), Bug.CROSS_NOT_UPDATED),
-    "new-without-cross-covariance": (mutant(founded=no_cross), Bug.NEW_WITHOUT_CROSS),
-    "new-with-half-the-cross-covariance": (mutant(founded=half_cross), Bug.NEW_HALF_CROSS),
+    "new-without-cross-covariance": (mutant(founded=of_cross(0.0)), Bug.NEW_WITHOUT_CROSS),
+    "new-with-half-the-cross-covariance": (mutant(founded=of_cross(0.5)), Bug.NEW_HALF_CROSS),
     "new-without-cross-to-landmarks": (mutant(founded=pose_alone), Bug.NEW_CROSS_TO_POSE_ONLY),
     "new-without-R": (mutant(R_new=lambda s, R: 0 * R), Bug.NEW_WITHOUT_NOISE),
     "new-with-R-alone": (mutant(founded=noise_alone), Bug.NEW_WITHOUT_POSE),
