@@ -262,13 +262,11 @@ def _head_first(findings: Sequence[Finding], indicated: Finding | None) -> list[
 
 
 def _leading(found: Sequence[tuple[float, Finding]]) -> list[tuple[float, Finding]]:
-    """Findings with gains that may lead: systematic errors near the largest (they make noise look larger), else all.
-    Where errors last, the gain of a systematic one is so many times too large (`explanations.excess`).
-    """
+    """Findings with gains that may lead: systematic errors near the largest (they make noise look larger), else all."""
     most, top = max(found, key=lambda x: x[0], default=(0.0, None))
     smaller = top is not None and top.kind == "sigma" and top.size < 1.0
     if top is not None and top.kind == explanations.CORRELATION:
-        most *= (1.0 + top.size) / max(1.0 - top.size, 0.02)
+        most *= (1.0 + top.size) / max(1.0 - top.size, 0.02)  # gains of systematic errors are so many times too large
     return [x for x in found if x[1].kind == "systematic" and x[0] >= FIRST * most and not smaller] or [*found]
 
 
