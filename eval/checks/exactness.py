@@ -7,6 +7,7 @@ options: a mistake that gives the numbers of an estimator under test names its b
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cache, lru_cache
@@ -510,7 +511,12 @@ def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:
     for until, only in ways[: 0 if elsewhere else 4 if len(begin) > 1 else 1]:
         early = numbers(given[:until], right[: len(given[:until])])
         bugs = bugs or likely(world, task, early, only, most=1 if drawn or only else 3)
-    bugs = bugs or (() if elsewhere else first_step(text, inputs_of(world, task), allowed))
+    if not bugs and not elsewhere:  # whether it begins with another pose or covariance than the prior's
+        with suppress(ForeignError, *DIVERGED):
+            begun = Kalman(inputs_of(world, task), RIGHT).state(None, NONE)
+            pose, P = make_estimator(text, inputs_of(world, task)).estimate()
+            off_prior = max(differences(replace(begun, pose=pose, covariance=P), begun).values())
+            bugs = (Bug.PRIOR_ELSEWHERE,) if off_prior > max(allowed, NEARLY) else ()
     if not bugs and not drawn and world == worlds.MILD and largest[Quantity.POSE] > allowed:
         bugs = across_pi(text, inputs_of(world, task), frames, right, largest[Quantity.POSE])
     left_out = len(begin) > 1 and all(np.isin(g.used, r.used).all() for g, r in zip(given, right, strict=False))
@@ -525,17 +531,6 @@ def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:
             off = replace(off, sigmas=(float(np.nanmin(P / C)) ** 0.5, float(np.nanmax(P / C)) ** 0.5))
         facts.append(replace(off, left_out=left_out and q is Quantity.USED, samples=told))
     return facts if stop is None else [*facts, Stopped(world, len(given), str(stop), bugs)]
-
-
-def first_step(text: str, inputs: Inputs, allowed: float) -> tuple[Bug, ...]:
-    """Whether an estimator begins with another pose or covariance than the prior's, by more than what is `allowed`."""
-    right = Kalman(inputs, RIGHT).state(None, NONE)
-    try:
-        pose, P = make_estimator(text, inputs).estimate()
-    except (ForeignError, *DIVERGED):
-        return ()
-    off = differences(replace(right, pose=pose, covariance=P), right)
-    return (Bug.PRIOR_ELSEWHERE,) if max(off.values()) > max(allowed, NEARLY) else ()
 
 
 def across_pi(text: str, inputs: Inputs, frames: Frames, right: Sequence[State], worst: float) -> tuple[Bug, ...]:

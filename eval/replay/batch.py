@@ -18,6 +18,7 @@ from graph.factors import UnderConstrained
 from graph.optimum import STEP, NotConvergedError, Smoothed
 from graph.problem import Start
 
+ASTRAY = 10.0  # sigmas that a filter claims for a landmark from which it began elsewhere than the smoother has it
 LOWER = 1e-6  # relative difference of cost by which a lower minimum is another one
 
 
@@ -81,6 +82,13 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run], eno
     if result.map is not None:
         found = result.map if inputs.map is None else map_with(inputs.map, result.map)
         state = map_estimate(found, inputs.observations.frame, final, initialized)
+        if inputs.map is None and inputs.several_or_partial and front.map is not None:
+            _, mine, theirs = np.intersect1d(state.number, front.map.number, return_indices=True)
+            apart = front.map.xy[theirs] - state.xy[mine]
+            weight = np.linalg.pinv(np.nan_to_num(front.map.covariance[theirs]))
+            if (astray := np.einsum("ki,kij,kj->k", apart, weight, apart) > ASTRAY**2).any():
+                far = float(np.hypot(*apart[astray].T).max())
+                notes.append(notice(Code.BEGAN_ASTRAY, front=front.estimator, landmarks=int(astray.sum()), far=far))
     return Run(
         name, front.association, front.task, None, result.trajectory, state, front.decisions, final,
         front.created, None, result.total_nis, None, seconds, None, tuple(notes), front.removed, gated=front.gated,

@@ -13,7 +13,7 @@ from data.sensors import Bearing, Range, RangeBearing, RelativePoint, Sensor
 from data.truth import Truth
 from eval.referee import consistency
 from eval.referee.score import confusion_of
-from eval.replay.batch import _chordal
+from eval.replay.batch import _chordal, batch
 from eval.replay.run import compare, step_by_step
 from tests.builders.logs import increments_of, inputs_of
 from tests.quick import slow
@@ -93,6 +93,10 @@ def test_landmarks_of_ranges_begin_where_all_of_them_meet():
     first = np.where(np.isin(np.arange(len(number)), [number.tolist().index(n) for n in (0, 1)]), number, -1)
     start = _chordal(replace(log.recorded, map=None), first, number)
     assert np.abs(start.landmark - log.recorded.map.xy[12:]).max() < 0.6
+    fronts = [step_by_step("ekf", inputs := log.inputs(labels=True).without_map(), "slam")]
+    fronts.append(replace(fronts[0], map=replace(fronts[0].map, xy=fronts[0].map.xy + 5.0)))
+    notes = [[n.code.value for n in batch("batch", inputs, front).notes] for front in fronts]
+    assert notes == [["decided-by"], ["decided-by", "began-astray"]]
 
 
 @pytest.mark.parametrize(("name", "method"), [("ekf", "nn"), ("ekf", "jcbb"), slow("ekf", "gnn"), ("isam2", "jcbb")])
