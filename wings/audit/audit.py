@@ -563,7 +563,12 @@ def condition(f: linear.Factored, part: IntArray, metres: Sequence[IntArray], sh
                 moves = np.abs(rest[_columns(f, v)]).max(1) > MOVES
                 place = shape[_columns(f, v), 1:].any(1)
                 loose.append(Loose(v, n, bool(moves[place].any()), bool(moves[~place].any())))
-    return Condition(sizes, gauge, scale, tuple(sorted(loose)), _duplicates(f))
+    alike, pairs = dict[bytes, int](), list[tuple[int, int]]()
+    for g in f.system.groups:
+        for i, variables, J, e in zip(g.factor.tolist(), g.variables, g.A, g.r, strict=True):
+            if (first := alike.setdefault(variables.tobytes() + J.tobytes() + e.tobytes(), i)) != i:
+                pairs.append((first, i))
+    return Condition(sizes, gauge, scale, tuple(sorted(loose)), tuple(pairs))
 
 
 def growth(values: linear.Values, system: linear.System, at: IntArray) -> Array:
@@ -618,16 +623,6 @@ def _ranks(f: linear.Factored, N: Array, some: IntArray) -> IntArray:
 
 def _columns(f: linear.Factored, v: int) -> IntArray:
     return np.arange(f.at[v], f.at[v] + f.system.dim[v])
-
-
-def _duplicates(f: linear.Factored) -> tuple[tuple[int, int], ...]:
-    seen: dict[bytes, int] = {}
-    out = []
-    for g in f.system.groups:
-        for i, variables, A, r in zip(g.factor.tolist(), g.variables, g.A, g.r, strict=True):
-            if (first := seen.setdefault(variables.tobytes() + A.tobytes() + r.tobytes(), i)) != i:
-                out.append((first, i))
-    return tuple(out)
 
 
 def warm() -> None:

@@ -64,8 +64,7 @@ def test_columns_and_rows(written):
     assert list(report.factors.index) == list(range(140))
     assert report.factors["keys"][3] == (3, 4)
     assert report.factors["redundancy"].sum() == pytest.approx(140 * 3 - 80 * 3, abs=1e-8)
-    assert list(report.kinds.index) == ["odometry", "loop"]
-    assert report.kinds["n"].sum() + 0 == 140
+    assert (list(report.kinds.index), report.kinds["n"].sum()) == (["odometry", "loop"], 140)
     assert report.audit.decrement < 0.01
     given = opened(written(grid()), optimize=False, draws=0)
     assert given.audit.decrement > 1.0
