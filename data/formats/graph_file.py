@@ -196,9 +196,10 @@ def graph_file_of(
         so = f"; so are those of {n} of {total} edges" * (n > 1)
         raise DataError(f"{indefinite[0]}{so}")
     if not graph.edges and not (bare and graph.poses):
-        tags = Counter(w[0][:LONG] for _, w in words if w[0][0].isalpha()).most_common(MOST_TAGS)
+        tags = Counter(w[0][:LONG] for _, w in words if w[0].isascii() and w[0][0].isalpha()).most_common(MOST_TAGS)
         has = f"no edge of a graph among {', '.join(f'{n} {tag}' for tag, n in tags)}" if tags else "no edge of a graph"
         has += "; if another file has them, name both: slamref audit A B" * bool(graph.poses)
+        has += "; a graph of gtsam's is what a function returns: slamref audit FILE.py:FUNCTION" * ("\0" in text)
         raise DataError.at(path, f"{has}; lines of g2o or Toro are needed, with a tag of {', '.join(EDGES)}")
     turns = np.abs([e.measured[2] for e in graph.edges if graph.kind(e) == (POSE2, POSE2)])
     if 2 * (turns > 2.0 * math.pi).sum() > np.count_nonzero(turns):

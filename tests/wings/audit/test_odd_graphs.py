@@ -98,8 +98,8 @@ def test_lines_that_are_not_read_are_told(plain, tmp_path):
     assert "Gauge freedom: nothing ties the whole graph in 3 directions." in words
     for text, said in (
         ("VERTEX_CAM 0 0 0\nEDGE_SIM3 0 1 2\nEDGE_SIM3 1 2 2\n", "of a graph among 2 EDGE_SIM3, 1 VERTEX_CAM; "),
-        ("VERTEX_SE2 0 0 0 0\n", ""),
-    ):
+        ("VERTEX_SE2 0 0 0 0\n", ".*name both"), ("MAT\0 1\n", ".*audit FILE.py:FUNCTION"),
+    ):  # fmt: skip
         path.write_text(text)
         with pytest.raises(DataError, match=f"no edge {said}".strip()):
             page.opened(str(path), False, 0)
