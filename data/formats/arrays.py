@@ -1,5 +1,6 @@
 """Files of arrays as tables: MATLAB's, Octave's texts, numpy's, JSON, and pickles, of which no code runs."""
 
+import ast
 import json
 import math
 import pickle
@@ -40,11 +41,12 @@ def is_arrays(path: Path) -> bool:
 
 
 def suffix_of(path: Path) -> str:
-    """The suffix of a file, that of JSON where objects or lists of these are its content, whatever its name."""
+    """The suffix of a file; that of JSON where objects, or lists of lists, are its content, whatever its name."""
     suffix = path.suffix.lower()
     if suffix not in (*SUFFIXES, *YAML):
         with suppress(OSError, ValueError, RecursionError), path.open("rb") as file:
-            if re.match(rb"\W*{", file.read(20)) and _json(path, path.stat().st_mtime_ns):
+            begin = re.match(rb"\W*{|\s*(\[\s*)+[(\[]", file.read(20))
+            if begin and (found := _json(path, path.stat().st_mtime_ns)) and (not begin[1] or np.ndim(found[0][0])):
                 return TEXTS[0]
     return suffix
 
@@ -52,8 +54,20 @@ def suffix_of(path: Path) -> str:
 @lru_cache(maxsize=2)
 def _json(path: Path, _: int) -> Any:
     text = path.read_text(encoding="utf-8-sig")
-    whole = text.count("\n{") < 1 or text.lstrip()[:1] == "["
-    return json.loads(text) if whole else [json.loads(line) for line in text.splitlines() if line]
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        with suppress(SyntaxError, ValueError):
+            each = [_printed(line) for line in text.splitlines() if line.strip()]
+            return each if len(each) > 1 else each[0]
+        raise
+
+
+def _printed(line: str) -> Any:
+    """An object of JSON, or a list, tuple or dict as Python prints it."""
+    with suppress(json.JSONDecodeError):
+        return json.loads(line)
+    return ast.literal_eval(re.sub(r"\binf\b", "1e999", re.sub(r"\bnan\b", "None", line.strip())))
 
 
 def records(path: Path) -> tuple[bytes, str]:
@@ -219,6 +233,9 @@ def columns_of(
         R = each[0, :3, :3] if each.shape[1:] in MATRICES else np.zeros((3, 3))
         if np.allclose(R @ R.T, np.eye(3), atol=1e-2):  # poses in space
             columns |= _numbered(name, each[:, :3].reshape(len(each), -1))
+    for name, value in deep.items() if not columns else ():
+        if value.shape[1] >= WIDE[1] > WIDE[0] >= value.shape[2]:  # beams of scans, as many in each
+            columns |= _listed(name, [{"": scan} for scan in value])
     rows = tuple(zip_longest(*columns.values(), fillvalue=""))
     if not rows:
         has = ", ".join([*(n for n in found if n not in deep), *solids(path)])
@@ -311,7 +328,7 @@ def _columns_across(name: str, value: Any, shapes: Collection[tuple[int, ...]]) 
     if value.ndim == 1:
         return _numbered(name, value[:, None])
     low, wide = ({shape[axis] for shape in shapes} for axis in (0, 1))
-    same = low if len(low) == 1 else wide
-    if value.ndim != 2 or not value.size or min(len(low), len(wide)) > 1 or max(same) > WIDE[0]:
+    across = len(low) == 1 and (max(low) <= WIDE[0] or len(wide) > 1)
+    if value.ndim != 2 or not value.size or min(len(low), len(wide)) > 1 or max(low if across else wide) > WIDE[0]:
         return {}
-    return _numbered(name, value.T if len(low) == 1 else value)
+    return _numbered(name, value.T if across else value)

@@ -221,8 +221,9 @@ def _stamped(fields: dict[str, str]) -> dict[str, str]:
 
 def parts_of(path: Path) -> list[Path]:
     """The files of a folder by name, or of FIRST+SECOND+..., the others in the folder, or bag, of the first; or one."""
-    if path.is_dir():
-        return sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith(".")) or [path]
+    if path.is_dir():  # 9 before 10
+        files = (p for p in path.iterdir() if p.is_file() and not p.name.startswith("."))
+        return sorted(files, key=lambda p: [part.zfill(20) for part in re.split(r"(\d+)", p.name)]) or [path]
     first, *others = str(path).split("+")
     bag, topic = file_and_topic(first)
     if topic is not None:

@@ -367,12 +367,12 @@ def _by_rows(
 def _joined(path: Path, parts: Sequence[Path]) -> TextTable:
     """One table of files: a folder's one below the other, numbered as `frame`, else side by side."""
     tables = [read_table(part) for part in parts]
-    often = Counter(name for t in tables if t.named for name in t.names if not is_stamp(name))
-    tables = [
-        replace(t, names=tuple(t.path.stem if often[n] > 1 else n for n in t.names)) if len(t.names) < 3 else t
-        for t in tables
-    ]  # a column alone beside stamps is that of its file, or topic
     if not path.is_dir():
+        often = Counter(name for t in tables if t.named for name in t.names if not is_stamp(name))
+        tables = [
+            replace(t, names=tuple(t.path.stem if often[n] > 1 else n for n in t.names)) if len(t.names) < 3 else t
+            for t in tables
+        ]  # a column alone beside stamps is that of its file, or topic
         names, rows, said = _side_by_side(path, tables)
         said = "; ".join(filter(None, (said, *(t.cut for t in tables))))
         return TextTable(path, names, rows, tables[0].line, named=True, cut=said)

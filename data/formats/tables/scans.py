@@ -9,9 +9,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from data.columns.named import STAMP
+from data.columns.named import LENGTH, STAMP
 from data.csv_table import Table, is_number
 from data.errors import DataError, UsageError
+from data.formats.arrays import ELEMENT
 from data.formats.bags import GEOMETRY, Collected, LaserScans, scans_of
 from data.formats.recordings.beams import resampled
 from data.formats.results.reading import words_of
@@ -28,6 +29,7 @@ ALIKE = {"start": "min", "first": "min", "end": "max", "last": "max", "angular":
 ALIKE |= dict.fromkeys(("inc", "step", "resolution"), "increment")
 """Words for those of `GEOMETRY`."""
 NOTHING, SHARE = 0.05, 0.01  # A range that no scanner measures, and the share of all from which it stands for none
+UNLIKELY = 1000.0  # m, a middle range that no scanner measures
 TURNS = 4.0 * math.pi, 721.0  # Angle between the outer beams, above as many rad and below as many degrees in degrees
 
 
@@ -71,6 +73,11 @@ def read_scans(
         return [row[j] for j in beams] if listed is None else row[listed].strip("()[] ").split(",")
 
     read = [metre * float(f) for row in file.rows for f in fields_of(row) if is_number(f)]
+    middle = float(np.median([r for r in read if 0.0 < r < math.inf] or [0.0]))
+    if middle > UNLIKELY and not {"scans.range", "range", "length"} & {*columns.units.given}:
+        metre, read = LENGTH["mm"], [LENGTH["mm"] * r for r in read]
+        told = f"--unit scans.range=mm, as the middle range is {middle:.6g}"
+        columns.notes.append(f"{file.path.name}: inferred: {told} (--unit scans.range=m reads it as written)")
     far = max(filter(math.isfinite, read), default=0.0)
     reach = far * (1.0 if read.count(far) > 2 else 1.001)  # where several have it, what stands for no return
     if scanner is None and not {"angle_min", "angle_max"} <= {*numbers} and not {*STATED} <= {*numbers}:
@@ -149,14 +156,24 @@ def folded_up(file: TextTable, columns: Columns) -> TextTable | None:
     """A table with a row for each beam as one with a row for each scan, of equal angles, the middle step apart; scans
     change with a stamp or number, or where angles begin anew. None of a table without angles and ranges.
     """
-    words = [{*words_of(name)[0]} for name in file.names] if file.named else []
-    at, far = ([k for k, of in enumerate(words) if of & known] for known in (ANGLES, FAR))
+    words = [{*words_of(name)[0]} for name in file.names]
+    at, far = ([k for k, of in enumerate(words) if of & some and file.named] for some in (ANGLES, FAR))
     if columns.stated("scans", ("bearing",)) and columns.stated("scans", ("range",)):
         at, far = ([columns.find(file, "scans", q) or 0] for q in ("bearing", "range"))
-    if len(at) != 1 or len(far) != 1 or not all(is_number(row[k]) for row in file.rows for k in (*at, *far)):
+    elif not at and not far:
+        at, far = _turning(file)
+    if len(at) != 1 or len(far) != 1:
         return None
+    filled = [row[at[0]] != "" != row[far[0]] for row in file.rows]  # of arrays of several lengths
+    there = [k for k, row in enumerate(file.rows) if filled[k] and is_number(row[at[0]]) and is_number(row[far[0]])]
+    if len(there) < max(2.0, STEADY * sum(filled)):  # the others are words, such as names that come again
+        return None
+    file = replace(file, rows=tuple(file.rows[k] for k in there), line=file.line[there])
     angle, distance = (np.array([row[k] for row in file.rows], float) for (k,) in (at, far))
-    key = next((k for k, of in enumerate(words) if of & {*STAMP, "scan", "frame", "revolution"}), at[0])
+    if (length := words_of(file.names[far[0]])[1]) in LENGTH and columns.units.unit("scans", "range") is None:
+        distance = LENGTH[length] * distance
+    keys = ({ELEMENT, "frame"}, {*STAMP, "scan", "revolution"})
+    key = next((k for some in keys for k, of in enumerate(words) if of & some and k not in (*at, *far)), at[0])
     turn = np.cumsum([a[key] != b[key] for a, b in pairwise([file.rows[0], *file.rows])])
     if key == at[0] or len(file) < BEAMS * turn[-1]:
         leap = np.diff(angle, prepend=angle[0])
@@ -168,7 +185,8 @@ def folded_up(file: TextTable, columns: Columns) -> TextTable | None:
         return None
     unit = words_of(file.names[at[0]])[1] or ("deg" if float(np.ptp(angle)) > TURNS[0] else "rad")
     stated = columns.units.unit("scans", "bearing") or columns.units.given.get("angle")
-    si = columns.units.factor("scans", "bearing") if stated else ANGLE[unit]
+    printed = {"theta", "Dist", "Q"} <= {*file.names}
+    si = columns.units.factor("scans", "bearing") if stated else ANGLE[unit] * (-1.0 if printed else 1.0)
     step, angle = step * abs(si), angle * si
     grid = np.arange(angle.min(), angle.max() + 0.5 * step, step)
     ranges = np.zeros((len(first), len(grid)))
@@ -184,34 +202,62 @@ def folded_up(file: TextTable, columns: Columns) -> TextTable | None:
     columns.given = {key: name for key, name in columns.given.items() if key not in ("scans.bearing", "scans.range")}
     echoes = int(np.sum(np.isfinite(distance) & (distance > 0.0)))
     cut = f"inferred: {len(rows)} scans, a row for each beam, in steps of {math.degrees(step):.4g} deg; {echoes} echoes"
-    cut += f", {len(file) - echoes} rows without one"
-    cut += "; angles count anticlockwise (--unit scans.bearing=-deg: clockwise)" * (not stated)
+    cut += f", {len(file) - echoes} rows without one; columns {file.names[at[0]]} and {file.names[far[0]]}"
+    ways = ("anticlockwise", "-deg: clockwise"), ("clockwise, as RPLIDAR prints them", "deg: anticlockwise")
+    cut += "; angles count {} (--unit scans.bearing={})".format(*ways[printed]) * (not stated)
     return replace(file, names=names, rows=rows, line=file.line[first], named=True, cut=cut)
 
 
-FAR, MOST = frozenset(("range", "distance", "dist")), 4000  # Words of a range; most beams of a scan
+def _turning(file: TextTable) -> tuple[list[int], list[int]]:
+    """Columns of a beam's angle and range among unnamed ones: angles ascend, or descend, and begin anew; ranges differ
+    most. None where names tell others, or two columns may be the range.
+    """
+    free = {*STAMP, "frame", "key", "value", ELEMENT}
+    told = file.named and not all(name[-1:].isdecimal() or {*words_of(name)[0][-1:]} <= free for name in file.names)
+    some = [k for k, f in enumerate(next(iter(file.rows[-1:]), ())) if is_number(f)] if not told else []
+    rows = [row for row in file.rows if all(is_number(row[k]) for k in some)]
+    values = {k: np.array([row[k] for row in rows], float) for k in some} if len(rows) > 2 * BEAMS else {}
+    at, size = list[int](), dict[int, int]()
+    for k, v in values.items():
+        step, whole = np.diff(v), float(np.ptp(v))
+        new = np.abs(step) > 0.5 * whole
+        on = step[~new] * -np.sign(step[new].sum())
+        turns = 0 < BEAMS * new.sum() < len(v) and np.mean(on >= 0.0) > STEADY and np.any(on)
+        at += [k] * bool(turns and QUARTER <= whole <= TURN)
+        size[k] = 0 if (step >= 0.0).all() or (v < 0.0).any() else len(np.unique(v))
+    far = sorted((k for k in size if k not in at), key=size.__getitem__)
+    sure = len(at) == 1 and far and (len(far) == 1 or 2 * size[far[-2]] < size[far[-1]])
+    return (at, far[-1:]) if sure else ([], [])
+
+
+QUARTER, TURN, STEADY = 0.5 * math.pi, 361.0, 0.95
+"""Least and most of all angles, in rad or deg; share of steps between beams that have one sign."""
+FAR, MOST = frozenset(("range", "ranges", "distance", "distances", "dist")), 4000  # Words of ranges; beams of a scan
 NEAR = 0.75  # Steps from a beam within which its range is measured
 
 
 def _listed_angles(file: TextTable, beams: Sequence[int], columns: Columns, reach: float) -> Array | None:
-    """Angles of all beams, of the only array of angles that has as many numbers, and the reach; else None."""
+    """Angles of all beams, of the only array of angles that has as many numbers, in each row the same if they stand
+    there, and the reach; else None.
+    """
     found = []
-    for k, name in enumerate(file.names):
-        fields = [row[k] for row in file.rows if row[k]]
-        told = k not in beams and {*words_of(name)[0]} & ANGLES
-        if told and len(fields) == len(beams) and all(map(is_number, fields)):
-            found.append((name, np.array(fields, float)))
+    for name, run in groupby((k for k in range(len(file.names)) if k not in beams), lambda k: stem_of(file.names[k])):
+        fields = [row[k] for k in run for row in file.rows if row[k]]
+        told = {*words_of(name)[0]} & ANGLES and all(map(is_number, fields))
+        each = np.reshape(fields, (len(beams), -1)).astype(float) if told and not len(fields) % len(beams) else None
+        if each is not None and np.ptp(each[:, :1], axis=None) > 0.0 and (each == each[:, :1]).all():
+            found.append((name.strip("_"), each[:, 0]))
     if len(found) != 1:
         return None
     name, angles = found[0]
     deg = words_of(name)[1] == "deg" or float(np.ptp(angles)) > TURNS[0]
-    columns.read.add((file.path, name))
+    columns.read |= {(file.path, own) for own in file.names if own.startswith(name)}
     what = f"{name} are the angles of beams{', in deg' * deg}; reach {reach:g} m"
     columns.notes.append(f"{file.path.name}: inferred: {what}")
     return np.append(angles * (ANGLE["deg"] if deg else 1.0), reach)
 
 
-ANGLES = frozenset(("angle", "angles", "bearing", "bearings", "azimuth", "azimuths", "theta", "phi"))
+ANGLES = frozenset(("angle", "angles", "angule", "bearing", "bearings", "azimuth", "azimuths", "theta", "phi"))
 
 
 def _geometry(names: Sequence[str]) -> dict[str, tuple[int, float]]:

@@ -169,6 +169,38 @@ def test_a_row_for_each_beam_is_folded_into_scans(read, stamp, title):
     assert ("angles count anticlockwise" in said) == bool(title)
 
 
+def beams(form, head=""):
+    """Rows of all angles [deg] and ranges [mm] in a form, those of each scan below a head."""
+    return lambda scans: "".join(head + "".join(form.format(a, r) for a, r in scan) for scan in scans)
+
+
+GRABBED = beams("{:.4f} {:.1f} 47\n", "#RPLIDAR SCAN DATA\n#COUNT=40\n#Angule\tDistance\tQuality\n")
+
+
+@pytest.mark.parametrize(("name", "text", "first"), [
+    ("a.txt", beams("{} {}\n"), 0.0), ("a.json", json.dumps, 0.0),
+    ("a.json", lambda scans: json.dumps([scan[k % 2 :] for k, scan in enumerate(scans)]), 0.0),
+    ("a.json", lambda scans: json.dumps([dict(scan) for scan in scans]), 0.0),
+    ("a.json", lambda scans: json.dumps([dict(zip("ar", zip(*s, strict=True), strict=True)) for s in scans])
+     .replace('"a"', '"angles"').replace('"r"', '"ranges"'), 0.0),
+    ("a.log", lambda scans: "\n".join(str([(15, a, r) for a, r in scan]) for scan in scans), 0.0),
+    ("a.txt", beams("  theta: {:.2f} Dist: {:08.2f} Q: 47\n"), -351.0),
+    ("a.txt", beams("{},{},9\n", "AngleInDegrees,DistInMM,Intensity\n"), 0.0), ("a", GRABBED, 0.0),
+])  # fmt: skip
+def test_beams_without_names_and_of_well_known_scanners_are_read(convert, tmp_path, name, text, first):
+    far = np.random.default_rng(0).integers(1000, 4000, (20, 40))
+    scans = [[(9 * i, int(r)) for i, r in enumerate(row)] for row in far]
+    files = {name: text(scans)} if "." in name else {f"a/{k}.txt": text([scan]) for k, scan in enumerate(scans)}
+    tmp_path.joinpath("a").mkdir()
+    log, said = convert(files, "table", name, "out")
+    found = log.recorded.scans
+    right = (far[:, ::-1] if first < -180.0 else far) / 1000.0
+    assert found.ranges == pytest.approx(np.where(found.ranges > 0.0, right, 0.0))
+    assert (found.ranges > 0.0).mean() > 0.98
+    assert np.degrees([found.scanner.angle_min, found.scanner.angle_step]) == pytest.approx([first, 9.0])
+    assert "inferred: --unit scans.range=mm" in said or "DistInMM" in said
+
+
 def test_poses_beside_a_distance_are_no_beams(read):
     rows = "".join(f"{k},{np.sin(k / 30)},{-np.cos(k / 30)},{k / 30 % 6.28},{k / 30}\n" for k in range(999))
     assert read({"a.csv": "t,x,y,theta,distance\n" + rows})[0].recorded.scans is None
