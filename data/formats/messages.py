@@ -2,6 +2,7 @@
 
 import csv
 import re
+import struct
 from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise, zip_longest
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data.columns.named import STAMP
+from data.columns.named import LENGTH, STAMP
 from data.csv_table import bytes_of, is_number
 from data.errors import DataError
 from data.formats.arrays import is_arrays, records
@@ -36,6 +37,8 @@ def read_lines(path: Path) -> tuple[list[tuple[int, str]], str, str]:
         file = file_and_word(path)[0]
         what = f"of rows of K doubles type {file}:doubles=K, of floats {file}:floats=K"
         raise DataError.at(path, f"not a text file of {len(content)} bytes; a CSV file is needed, or arrays; {what}")
+    if TELEGRAM in text and (telegrams := _of_sick(text)):
+        return telegrams, word, SICK
     rows = numbered_rows(text)
     lines, said = _of_motive(rows) if text.startswith("Format Version") else _tidied(rows)
     return with_word(lines, word), word, said
@@ -93,6 +96,27 @@ def _of_motive(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], str
             made[j] = f"q{of[axis]}" if part == "Rotation" else f"{of[axis]} [{unit}]"
     said = f"inferred: rigid body {bodies[min(made.keys() - {1}, default=1)]} of Motive, whose y is up and becomes z"
     return [(0, ",".join(made.values())), *((i, ",".join(r[j] for j in made)) for i, r in rows[top + 1 :])], said
+
+
+def _of_sick(text: str) -> list[tuple[int, str]]:
+    """A row for each telegram of a scan of SICK, whose numbers are hexadecimal: time, first angle, step and ranges."""
+    rows, line = list[tuple[int, list[float]]](), 1
+    for before, telegram in pairwise(text.split(TELEGRAM)):
+        line += before.count("\n")
+        fields = re.findall(r"\w+", telegram)
+        if SCAN not in fields[:-5]:
+            continue
+        scale, begin, low, step, count, *far = fields[fields.index(SCAN) + 1 :]
+        metres, zero = struct.unpack(">2f", bytes.fromhex(f"{scale:0>8}{begin:0>8}")) * np.array(LENGTH["mm"])
+        first = (int(low, 16) + 2**31) % 2**32 - 2**31
+        ranges = [zero + metres * r * (r >= ERRORS) for r in (int(f, 16) for f in far[: int(count, 16)])]
+        rows.append((line, [1e-6 * int(fields[7], 16), 1e-4 * first - 90.0, 1e-4 * int(step, 16), *ranges]))
+    names = ("t", "angle_min_deg", "angle_increment_deg", *map("range{}".format, range(len(rows[0][1]) - 3)))
+    return [(0, ",".join(names)), *((i, ",".join(f"{v:.9g}" for v in row)) for i, row in rows)] if rows else []
+
+
+TELEGRAM, SCAN, ERRORS = "LMDscandata", "DIST1", 16  # Names of a telegram, of its ranges; least number that is a range
+SICK = "inferred: telegrams of SICK, whose 90 deg are ahead; seconds since the scanner's start"
 
 
 def _are_units(fields: Sequence[str]) -> bool:

@@ -169,6 +169,12 @@ def test_a_row_for_each_beam_is_folded_into_scans(read, stamp, title):
     assert ("angles count anticlockwise" in said) == bool(title)
 
 
+def telegram(k, far):
+    """Ranges (B,) in mm of SICK's telegram of a scan, from -45 deg in steps of 9, 1 s after the last."""
+    head = f"1 1 89A27F 0 0 {k:X} {k:X} {10**6 * k:X} 0 0 0 7 0 0 1388 168 0 1 DIST1 3F800000 00000000 FFF92230 15F90"
+    return f"\x02sSN LMDscandata {head} {len(far):X} {' '.join(f'{v:X}' for v in far)} 0 0 0\x03"
+
+
 def beams(form, head=""):
     """Rows of all angles [deg] and ranges [mm] in a form, those of each scan below a head."""
     return lambda scans: "".join(head + "".join(form.format(a, r) for a, r in scan) for scan in scans)
@@ -186,6 +192,7 @@ GRABBED = beams("{:.4f} {:.1f} 47\n", "#RPLIDAR SCAN DATA\n#COUNT=40\n#Angule\tD
     ("a.log", lambda scans: "\n".join(str([(15, a, r) for a, r in scan]) for scan in scans), 0.0),
     ("a.txt", beams("  theta: {:.2f} Dist: {:08.2f} Q: 47\n"), -351.0),
     ("a.txt", beams("{},{},9\n", "AngleInDegrees,DistInMM,Intensity\n"), 0.0), ("a", GRABBED, 0.0),
+    ("a.txt", lambda scans: "\n".join(telegram(k, [r for _, r in scan]) for k, scan in enumerate(scans)), -135.0),
 ])  # fmt: skip
 def test_beams_without_names_and_of_well_known_scanners_are_read(convert, tmp_path, name, text, first):
     far = np.random.default_rng(0).integers(1000, 4000, (20, 40))
@@ -198,7 +205,7 @@ def test_beams_without_names_and_of_well_known_scanners_are_read(convert, tmp_pa
     assert found.ranges == pytest.approx(np.where(found.ranges > 0.0, right, 0.0))
     assert (found.ranges > 0.0).mean() > 0.98
     assert np.degrees([found.scanner.angle_min, found.scanner.angle_step]) == pytest.approx([first, 9.0])
-    assert "inferred: --unit scans.range=mm" in said or "DistInMM" in said
+    assert ("inferred: --unit scans.range=mm" in said or "DistInMM" in said) != ("telegrams of SICK" in said)
 
 
 def test_poses_beside_a_distance_are_no_beams(read):
