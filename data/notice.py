@@ -75,6 +75,7 @@ class Code(StrEnum):
     REMOVED = "removed", INFO
     OBSERVATIONS_REJECTED = "observations-rejected", INFO
     AGAINST_WHEELS = "against-wheels", WARNING
+    SCANS_JUMP = "scans-jump", WARNING
     CHAIN_WIDENED = "chain-widened", INFO
     CLOSURES_REFUSED = "closures-refused", WARNING
     DOUBLED_WALLS = "doubled-walls", WARNING

@@ -92,14 +92,18 @@ def closure_counts(run: Run, log: Log, phase: str) -> dict[str, object] | None:
 SIGMAS, FAR, TURNED = 10.0, 0.5, 0.5
 """Standard deviations of odometry, and m or rad, from which a step from scan to scan contradicts the wheels. Simulated
 slips of 0.6 rad at rest, and robots that back while they report forward, are such steps; noise has none."""
+JUMP = 3.0, 0.2, 0.35  # The same of changes of a motion that scans alone tell; they are more often wrong
 RUNS, STRETCH = 2.0, 0.5
 """Times the way of the wheels, from which a path runs away from them: then stretches of so many m of a wheel contradict
 them, too, as matches that follow a walking person by a little each. On Intel and simulated plans it is 1.00 to 1.05."""
 
 
 def against_wheels(run: LaserRun, inputs: Inputs) -> Notice | None:
-    """A notice where the chain from scan to scan contradicts odometry by many sigmas and far, at once or by and by."""
-    if inputs.scans is None or run.chain is None or not inputs.increments.mean.any():
+    """A notice where the chain from scan to scan contradicts odometry by many sigmas and far, at once or by and by; or
+    without one the motion before, which then goes on.
+    """
+    unknown = is_unknown(inputs.increments)
+    if inputs.scans is None or run.chain is None or not (unknown or inputs.increments.mean.any()):
         return None
     chain, at = run.chain, inputs.scans.frame
     path = se2.compose(se2.dead_reckoned(np.zeros(3), chain.motion)[chain.key], chain.since)
@@ -112,6 +116,9 @@ def against_wheels(run: LaserRun, inputs: Inputs) -> Notice | None:
         end = np.maximum(end, np.searchsorted(way, way[:-1] + STRETCH, side="right") - 1)
     a, b = at[begin], at[end]
     told, found = se2.between(wheels[a], wheels[b]), se2.between(path[a], path[b])
+    if unknown:
+        told[1:], told[0] = found[:-1], found[0]
+    sigmas, far, turn = JUMP if unknown else (SIGMAS, FAR, TURNED)
     error = se2.pose_error(found, told)
     # the increments' covariances, added in the world's axes: a heading error between them is small beside FAR
     world = se2.covariances_in_world(wheels[:-1, 2], inputs.increments.covariance[1:])
@@ -120,14 +127,14 @@ def against_wheels(run: LaserRun, inputs: Inputs) -> Notice | None:
     position = np.hypot(error[:, 0], error[:, 1])
     deviation = np.sqrt(variance[:, 0] + variance[:, 1])
     lever = np.hypot(told[:, 0], told[:, 1]) * np.sqrt(variance[:, 2])
-    moved = (position > FAR) & (position > SIGMAS * (deviation + lever))
-    turned = (np.abs(error[:, 2]) > TURNED) & (np.abs(error[:, 2]) > SIGMAS * np.sqrt(variance[:, 2]))
+    moved = (position > far) & (position > sigmas * (deviation + lever))
+    turned = (np.abs(error[:, 2]) > turn) & (np.abs(error[:, 2]) > sigmas * np.sqrt(variance[:, 2]))
     wrong = np.flatnonzero(moved | turned)
     if not len(wrong):
         return None
     worst = int(wrong[np.argmax(np.hypot(position[wrong] / FAR, error[wrong, 2] / TURNED))])
     return _of(
-        run, Code.AGAINST_WHEELS, frame=int(b[worst]), steps=len(wrong), scans=len(at),
+        run, Code.SCANS_JUMP if unknown else Code.AGAINST_WHEELS, frame=int(b[worst]), steps=len(wrong), scans=len(at),
         distance=float(position[worst]), turned=math.degrees(abs(float(error[worst, 2]))),
     )  # fmt: skip
 

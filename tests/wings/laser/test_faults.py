@@ -68,6 +68,17 @@ def test_a_path_that_runs_away_by_a_little_each_scan_is_named_and_one_of_frozen_
     assert codes(replace(trial, log=replace(trial.log, recorded=recorded))) == set()
 
 
+def test_scans_alone_that_jump_are_matched_and_said():
+    true = np.stack([np.linspace(-2.0, 0.0, 40), np.zeros(40), np.zeros(40)], axis=1)
+    true[30::2] += [0.5, 0.3, 0.4]
+    scanner = replace(SCANNER, max_range=8.0)
+    scans = Scans(scanner, np.arange(40), np.array([scan(pose, ROOM, scanner) for pose in true]))
+    log = Log("jumps", without_odometry(laser_inputs(true, 0.2 * np.arange(40), scans)), Truth())
+    seen = Trial(log, "slam", tuple(compare(log.recorded, "slam", ["batch"], "scan")))
+    assert codes(seen) == {Code.SCANS_JUMP}
+    assert np.hypot(*(seen.runs[0].last - true)[:, :2].T).max() < 0.02
+
+
 def test_the_verdict_says_that_nothing_was_tested_where_no_loop_was_closed():
     log = named_log("floorplan:0:frames=100+beams=90")
     log = replace(log, truth=Truth(None))

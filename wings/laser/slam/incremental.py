@@ -133,9 +133,10 @@ class Tracker:
                 tried.append(self._match(points, start, prior))
                 going_on = start if self._slipped else None
         if self.steady or min(m.cost for m in tried) > self._cost + UNUSUAL:
-            found = self._searched(points, slip)
-            if found is not None:
-                tried.append(self._match(points, found, prior))
+            tried += self._searched(points, slip, self.pose, prior)
+        if self.steady and max(m.share for m in tried) < SURE:  # carried, or scans are missing
+            slip = np.maximum(slip, WIDEST / MOST_SIGMAS)
+            tried += self._searched(points, slip, self._matched, prior)
         if any(self._chi2(m, prior) > SURPRISE for m in tried):
             held = self._match(points, self.pose, prior, FIRM)
             plenty = len(points.xy) >= FEWEST_POINTS  # where little is seen, or the reference ends, a few fit anywhere
@@ -170,15 +171,15 @@ class Tracker:
             penalty = min(penalty, AGAIN + 0.5 * float(((further / (STEADY * slip)) ** 2).sum()))
         return penalty
 
-    def _searched(self, points: Points, slip: Array) -> Array | None:
-        """The pose around odometry, as far as the wheels may slip, where the scan fits the reference best."""
+    def _searched(self, points: Points, slip: Array, about: Array, prior: MotionPrior) -> list[Match]:
+        """A match from the pose about another, as far as the wheels may slip, where the scan fits best; or none."""
         window = np.minimum(MOST_SIGMAS * slip, WIDEST)
         if self._pyramid is None:
             self._pyramid = pyramid(self._reference.xy, FARTHEST + 2.0)
         near = points.xy[np.hypot(points.xy[:, 0], points.xy[:, 1]) < FARTHEST]
         some = near[:: max(len(near) // SEARCHED, 1)]
-        pose, score = best_pose(some, self._pyramid, self.pose, window, LEAST_CORRELATION)
-        return pose if score > 0.0 else None
+        pose, score = best_pose(some, self._pyramid, about, window, LEAST_CORRELATION)
+        return [self._match(points, pose, prior)] if score > 0.0 else []
 
     @property
     def is_due(self) -> bool:
