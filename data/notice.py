@@ -75,6 +75,8 @@ class Code(StrEnum):
     REMOVED = "removed", INFO
     OBSERVATIONS_REJECTED = "observations-rejected", INFO
     AGAINST_WHEELS = "against-wheels", WARNING
+    WHEELS_SCALE = "wheels-scale", WARNING
+    WHEELS_TURN = "wheels-turn", WARNING
     SCANS_JUMP = "scans-jump", WARNING
     CHAIN_WIDENED = "chain-widened", INFO
     CLOSURES_REFUSED = "closures-refused", WARNING

@@ -33,8 +33,9 @@ from eval.replay.settings import INCREMENTAL
 from eval.studies.diagnosis import Trust, contradicted
 
 CHANCE = 0.05  # A larger p is called chance, as is a difference whose interval holds zero: near it they may differ
-UNTRUSTED = (Code.AGAINST_WHEELS, Code.DOUBLED_WALLS, Code.WAY_UNOBSERVED)
-"""What forbids to trust any path of a log: it leaves the wheels, its walls are doubled, or nothing tells its way."""
+UNTRUSTED = (Code.AGAINST_WHEELS, Code.WHEELS_SCALE, Code.DOUBLED_WALLS, Code.WAY_UNOBSERVED)
+"""What forbids to trust any path of a log: it leaves the wheels, or their way is wrong by a factor, its walls are
+doubled, or nothing tells its way."""
 CLEAR = 1.1  # ratio of two RMSEs that is a difference where no interval can be formed
 FAR_NIS = 2.0  # NIS of a smoother over its expectation, beside a lost filter: its pairings are those of the filter
 SAME = 0.02  # relative difference of an online smoother's RMSE and a filter's below which they are called equal

@@ -457,6 +457,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
         more[SENSOR] = {name: {"file": wanted.files[name].name, "sha256": digest[name]} for name in several}
     if odometry.velocities and len(odometry.time) > 1:
         more |= {ODOMETRY_PERIOD: float(np.median(np.diff(odometry.time))), INTEGRATION: wanted.model}
+    more |= {"wheels": vars(wanted.wheels)} if wanted.kind == "ticks" else {}
     more |= {"hold": "backward"} if wanted.backward else {}
     more |= {TRUTH_POSE: wanted.truth_pose.tolist()} if wanted.truth_pose.any() else {}
     more |= {"time_offset": dict(columns.offsets)} if columns.offsets else {}

@@ -1,5 +1,6 @@
 """What speaks against a laser result: doubled walls, steps against the wheels, refused loop closures, claims."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -58,7 +59,7 @@ def test_a_path_that_runs_away_by_a_little_each_scan_is_named_and_one_of_frozen_
     chain, increments = trial.runs[0].chain, trial.log.recorded.increments
     since = chain.since + 0.04 * np.stack([np.zeros(1500), np.arange(1500) - chain.frame[chain.key], np.zeros(1500)], 1)
     motion = chain.motion + np.diff(chain.frame, prepend=0)[:, None] * [0.0, 0.3, 0.0]
-    (found,) = faults(changed(trial, chain=replace(chain, since=since, motion=motion)))
+    found, _ = faults(changed(trial, chain=replace(chain, since=since, motion=motion)))
     assert found.code is Code.AGAINST_WHEELS
     assert 0.5 < found.named["distance"] < 30.0
     assert codes(trial) == set()
@@ -66,6 +67,22 @@ def test_a_path_that_runs_away_by_a_little_each_scan_is_named_and_one_of_frozen_
     recorded.increments.mean.setflags(write=True)
     recorded.increments.mean[300:400] = 0.0
     assert codes(replace(trial, log=replace(trial.log, recorded=recorded))) == set()
+
+
+@pytest.mark.parametrize(("told", "source", "mended", "by"), [
+    ([0.5, 0.5, 1.0], {"odometry_kind": "poses", "unit": {"x": "cm"}}, "--unit odometry.x=#m,odometry.y=#m", [0.02, 2]),
+    ([1.0, 1.0, 0.5], {"odometry_kind": "velocities"}, "--unit odometry.omega=#rad/s", [2]),
+    ([0.5, 0.5, 1], {"wheels": {"metres": [0.01], "track_width": 1}}, "--metres-per-tick=# --track-width=#", [0.02, 2]),
+    ([0.5, 0.5, 1.0], {}, "", []), ([0.9, 0.9, 1.1], {"odometry_kind": "poses"}, None, []),
+])  # fmt: skip
+def test_wheels_that_are_wrong_by_a_factor_are_named_with_it(trial, told, source, mended, by):
+    increments = replace(trial.log.recorded.increments, mean=trial.log.recorded.increments.mean * told)
+    log = replace(trial.log, recorded=replace(trial.log.recorded, increments=increments), source=source)
+    found = [n for n in faults(replace(trial, log=log)) if n.code in (Code.WHEELS_SCALE, Code.WHEELS_TURN)]
+    assert len(found) == (mended is not None)
+    for flags in (" ".join(one.named["flags"]) for one in found):
+        assert re.sub(r"\d[\d.]*", "#", flags) == mended
+        assert list(map(float, re.findall(r"\d[\d.]*", flags))) == pytest.approx(by, rel=0.03)
 
 
 def test_scans_alone_that_jump_are_matched_and_said():
