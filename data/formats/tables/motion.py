@@ -143,7 +143,7 @@ def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | Non
         what = f"no odometry: {described(file)}; one of {listed} is needed"
         own = "" if role == "odometry" else f"{role}."
         if any(re.search("(?i)acc|^a_?[xy]$", name) for name in file.names):
-            what += " (accelerations are not integrated: their errors grow with the square of time; a gyro is omega)"
+            what += f" ({SAID['accelerations']})"
         if sum(re.search(FOUR, name) is not None for name in file.names) >= 4:
             what += f" ({SAID['four-wheels']})"
         raise DataError.at(file.path, f"{what}; name them as in --columns {own}v=SPEED,{own}omega=TURN_RATE")
