@@ -37,7 +37,7 @@ def by_layout(file: TextTable, role: str, *, alone: bool = True) -> tuple[TextTa
     tells = [{of for of, words in WORDS.items() if re.search(words, n) and not re.search(SEEN, n)} for n in titles]
     free = [{role} if alone and len(parts) == 1 else of or {*[role] * alone} for of in tells]
     each = zip(parts, free, strict=True)
-    found = [(p, names) for p, of in each if role in of and (names := _names(p.rows, role))]
+    found = [(p, names) for p, of in each if role in of and (names := _names(p.rows, role, p.names[0] * file.named))]
     if file.named and role == "odometry" and not found:  # commands, beside stamps or none
         each = zip(parts, tells, strict=True)
         found = [(p, ("v", "omega")) for p, of in each if role in of and len(p.names) == 2]
@@ -75,8 +75,8 @@ def _parts(file: TextTable) -> list[TextTable]:
     return parts
 
 
-def _names(rows: Sequence[tuple[str, ...]], role: str) -> tuple[str, ...]:
-    """Quantities of the columns of a path, of velocities or a map; none if unclear."""
+def _names(rows: Sequence[tuple[str, ...]], role: str, title: str) -> tuple[str, ...]:
+    """Quantities of the columns of a path, of velocities or a map, also as a title tells; none if unclear."""
     values = np.array(rows, float)
     if not np.isfinite(values).all():
         return ()
@@ -90,6 +90,8 @@ def _names(rows: Sequence[tuple[str, ...]], role: str) -> tuple[str, ...]:
     path = only_reading([row for row, taken in zip(rows, last.tolist(), strict=True) if taken])
     if "yaw" in path:
         return tuple(q.replace("yaw", "theta") for q, _ in sorted(path.items(), key=lambda item: int(item[1])))
+    if values.shape[1] == 3 and re.search("pose|traj", title.lower()):
+        return "x", "y", "theta"
     velocities = role == "odometry" and values.shape[1] == 3 and (np.diff(values[:, 0]) > 0.0).all()
     return ("t", "v", "omega") if velocities else ()
 

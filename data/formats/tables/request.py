@@ -38,7 +38,7 @@ from data.formats.tables.files import (
 )
 from data.formats.tables.layout import by_layout, landmarks_in_rows, named_alike, seen_by_layout
 from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of, path_of
-from data.formats.tables.scans import BEAMS, folded_up, wide_in
+from data.formats.tables.scans import BEAMS, alone_in, folded_up, wide_in
 from data.formats.text import TextTable, read_table
 from data.formats.wrapped import file_and_word
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise
@@ -427,8 +427,8 @@ def _read(p: _Parts) -> None:
         count, seen = len(next(iter(read.values()), ())), role in p.observing
         read |= {path: read_table(path, p.named.values(), count, seen=seen)} if path not in read else {}
     for path in {p.files.get(SCANS, p.files["odometry"])} - {p.files.get(OBSERVATIONS)}:
-        if SCANS in p.files or not _moves(p, read[path]):
-            read[path] = folded_up(read[path], p.columns) or read[path]
+        moves = SCANS not in p.files and _moves(p, read[path])
+        read[path] = folded_up(read[path], p.columns, moves) or read[path]
     read[p.files["odometry"]] = table_files.stepped(read[p.files["odometry"]])
     p.texts |= {role: read[path] for role, path in p.files.items()}
     p.columns.notes += [f"{path.name}: {table.cut}" for path, table in read.items() if table.cut]
@@ -442,7 +442,7 @@ def _beside_odometry(p: _Parts, given: Given) -> None:
         if not own and role in ("truth", "fixes") and table.named:
             own = p.columns.quiet.tells(table, role)
         if not own and role == SCANS and not {*p.observing} & {*p.files}:
-            own = wide_in(table, stated="scanner" in given)
+            own = wide_in(table, stated="scanner" in given) or [table.names[-1]] * bool(alone_in(table, len(table)))
         if own:
             p.files[role], p.texts[role] = path, table
             p.infer(f"--{role} {path}, of its columns {', '.join(own)}")
@@ -517,11 +517,15 @@ def _blind(p: _Parts, given: Given) -> tuple[float, Given]:
     table, looked = p.texts["odometry"], p.columns.quiet
     if _moves(p, table) or "odometry-kind" in given:
         return 0.0, given
+    if p.texts.get(SCANS) is table and (found := alone_in(table, len(table))):
+        own = {**found[1], "scans.range": str(found[0] + 1)}
+        p.columns.given = {**own, **p.columns.given}
+        p.infer(f"--columns {','.join(f'{k}={v}' for k, v in own.items())}", SCANS)
     if p.texts.get(SCANS) is table:
         p.columns.notes.append(f"{p.files[SCANS].name}: no odometry in it: scan matching alone tells the motion")
         p.hold(KINDS["poses"])
-        if (key := f"{SCANS}.t") in p.named:
-            p.columns.given = {**p.columns.given, "odometry.t": p.named[key]}
+        if (key := f"{SCANS}.t") in p.columns.given:
+            p.columns.given = {**p.columns.given, "odometry.t": p.columns.given[key]}
         return SPEED, given
     wants, timed = ("t", "x", "y"), looked.find(table, "odometry", "t") is not None
     if "fixes" not in p.texts or not timed or not looked.has(p.texts["fixes"], "fixes", wants):

@@ -12,7 +12,7 @@ import numpy as np
 from data.columns.named import LENGTH, STAMP
 from data.csv_table import Table, is_number
 from data.errors import DataError, UsageError
-from data.formats.arrays import ELEMENT
+from data.formats.arrays import ELEMENT, is_arrays
 from data.formats.bags import GEOMETRY, Collected, LaserScans, scans_of
 from data.formats.recordings.beams import resampled
 from data.formats.results.reading import words_of
@@ -23,6 +23,7 @@ from data.inputs import IntArray
 from data.se2 import Array
 
 RANGE = re.compile(r"(?:.*[._])?ranges?[._\[]?\d+\]?")
+FAR, MOST = frozenset(("range", "ranges", "distance", "distances", "dist")), 4000  # Words of ranges; beams of a scan
 BEAMS = 30  # Least numbers of a row that are taken for a scan
 STATED = ("angle_min", "angle_increment", "range_max")
 ALIKE = {"start": "min", "first": "min", "end": "max", "last": "max", "angular": "angle"}
@@ -58,7 +59,7 @@ def read_scans(
     if not beams and listed is None and (wide := wide_in(file, stated=True)):  # the only array of many numbers
         beams = list(range(file.names.index(wide[0]), file.names.index(wide[1]) + 1))
         columns.notes.append(f"{file.path.name}: inferred: --columns scans.range={wide[0]}")
-    alone = None if beams or listed is not None or t else _alone(file, len(odometry.rows))
+    alone = None if beams or listed is not None or t else alone_in(file, len(odometry.rows))
     if alone is not None:
         first, before = alone
         beams, columns.given = list(range(first, len(file.names))), {**columns.given, **before}
@@ -146,22 +147,27 @@ def wide_in(file: TextTable, *, stated: bool) -> list[str]:
     words = [{*words_of(stem_of(names[0]))[0]} for names in runs]
     fits = [bool(of & SCANNED) or (stated and not of & {"cov", "covariance"}) for of in words]
     told = [names for names, fit in zip(runs, fits, strict=True) if fit]
+    told = [names for names in told if {*words_of(stem_of(names[0]))[0]} & SCANNED] or told
     return [told[0][0], told[0][-1]] if len(told) == 1 else []
 
 
-SCANNED = frozenset(("range", "ranges", "scan", "scans", "laser", "lidar", "beam", "beams", "ray", "rays", "d", "dist"))
+SCANNED = FAR | frozenset(("scan", "scans", "laser", "lidar", "beam", "beams", "ray", "rays", "d"))
 
 
-def folded_up(file: TextTable, columns: Columns) -> TextTable | None:
+def folded_up(file: TextTable, columns: Columns, moves: bool) -> TextTable | None:
     """A table with a row for each beam as one with a row for each scan, of equal angles, the middle step apart; scans
-    change with a stamp or number, or where angles begin anew. None of a table without angles and ranges.
+    change with a stamp or number, or where angles begin anew, or turn back. None of a table without angles and ranges,
+    or points; beside poses, if it `moves`, angles must be those of beams.
     """
-    words = [{*words_of(name)[0]} for name in file.names]
+    theta = columns.quiet.find(file, "odometry", "theta") if moves else None
+    words = [{*words_of(name)[0]} if k != theta else set() for k, name in enumerate(file.names)]
     at, far = ([k for k, of in enumerate(words) if of & some and file.named] for some in (ANGLES, FAR))
     if columns.stated("scans", ("bearing",)) and columns.stated("scans", ("range",)):
         at, far = ([columns.find(file, "scans", q) or 0] for q in ("bearing", "range"))
     elif not at and not far:
         at, far = _turning(file)
+    if not at and not far and not moves:
+        file, at, far = _polar(file)
     if len(at) != 1 or len(far) != 1:
         return None
     filled = [row[at[0]] != "" != row[far[0]] for row in file.rows]  # of arrays of several lengths
@@ -175,10 +181,17 @@ def folded_up(file: TextTable, columns: Columns) -> TextTable | None:
     keys = ({ELEMENT, "frame"}, {*STAMP, "scan", "revolution"})
     key = next((k for some in keys for k, of in enumerate(words) if of & some and k not in (*at, *far)), at[0])
     turn = np.cumsum([a[key] != b[key] for a, b in pairwise([file.rows[0], *file.rows])])
+    leap = np.diff(angle, prepend=angle[0])
     if key == at[0] or len(file) < BEAMS * turn[-1]:
-        leap = np.diff(angle, prepend=angle[0])
+        if file.names[at[0]] == POINTS:  # of no scan: places
+            return None
         turn = np.cumsum(-np.sign(leap) * (np.abs(leap) > 0.5 * np.ptp(angle)))  # back where rows are out of order
         turn = turn * np.sign(turn[-1])
+        if not turn.any() and len(moved := np.flatnonzero(leap)):  # a servo, which turns back
+            way = np.sign(leap)[moved[np.minimum(np.searchsorted(moved, np.arange(len(leap))), len(moved) - 1)]]
+            turn = np.cumsum(np.diff(way, prepend=way[0]) != 0.0)
+    if moves and np.mean(np.abs(leap - np.median(leap)) < 0.5 * np.abs(np.median(leap))) < 1.0 - 1.0 / BEAMS:
+        return None
     _, first, of, count = np.unique(turn, return_index=True, return_inverse=True, return_counts=True)
     step = float(np.median(np.abs(np.diff(angle))))
     if len(first) < 2 or np.median(count) < BEAMS or not 0.0 < np.ptp(angle) <= MOST * step:  # or blank
@@ -203,18 +216,42 @@ def folded_up(file: TextTable, columns: Columns) -> TextTable | None:
     echoes = int(np.sum(np.isfinite(distance) & (distance > 0.0)))
     cut = f"inferred: {len(rows)} scans, a row for each beam, in steps of {math.degrees(step):.4g} deg; {echoes} echoes"
     cut += f", {len(file) - echoes} rows without one; columns {file.names[at[0]]} and {file.names[far[0]]}"
-    ways = ("anticlockwise", "-deg: clockwise"), ("clockwise, as RPLIDAR prints them", "deg: anticlockwise")
+    ways = ("anticlockwise", f"-{unit}: clockwise"), ("clockwise, as RPLIDAR prints them", "deg: anticlockwise")
     cut += "; angles count {} (--unit scans.bearing={})".format(*ways[printed]) * (not stated)
     return replace(file, names=names, rows=rows, line=file.line[first], named=True, cut=cut)
+
+
+def _unnamed(file: TextTable) -> list[int]:
+    """Columns of a table without names, or numbered ones of arrays and of a folder, where they are few."""
+    arrays = is_arrays(file.path) or file.path.is_dir()
+    told = (".key", ".value", *"0123456789")
+    free = [k for k, name in enumerate(file.names) if not file.named or (arrays and name.endswith(told))]
+    return free if len(free) <= FEWEST else []
+
+
+def _polar(file: TextTable) -> tuple[TextTable, list[int], list[int]]:
+    """A table of points x, y, or of two unnamed numbers of any sign, with their angles and ranges in the same columns,
+    and these; none without points.
+    """
+    named = [k for name in "xy" for k, other in enumerate(file.names) if words_of(other)[0] == [name]]
+    a, b = (named if len(named) == 2 else [*_unnamed(file), 0, 0])[:2]
+    rows = [row for row in file.rows if is_number(row[a]) and is_number(row[b])]
+    x, y = (np.array([row[k] for row in rows], float) for k in (a, b))
+    if a == b or len(rows) < 2 or (x.min() >= 0.0 and y.min() >= 0.0) or (len(_unnamed(file)) != 2 and not named):
+        return file, [], []
+    polar = zip(np.arctan2(y, x).tolist(), np.hypot(x, y).tolist(), rows, strict=True)
+    rows = [
+        tuple({a: repr(at), b: repr(far)}.get(k, field) for k, field in enumerate(row)) for at, far, row in polar if far
+    ]
+    names = tuple({a: POINTS, b: "range"}.get(k, name) for k, name in enumerate(file.names))
+    return replace(file, names=names, rows=tuple(rows), line=np.arange(1, len(rows) + 1), named=True), [a], [b]
 
 
 def _turning(file: TextTable) -> tuple[list[int], list[int]]:
     """Columns of a beam's angle and range among unnamed ones: angles ascend, or descend, and begin anew; ranges differ
     most. None where names tell others, or two columns may be the range.
     """
-    free = {*STAMP, "frame", "key", "value", ELEMENT}
-    told = file.named and not all(name[-1:].isdecimal() or {*words_of(name)[0][-1:]} <= free for name in file.names)
-    some = [k for k, f in enumerate(next(iter(file.rows[-1:]), ())) if is_number(f)] if not told else []
+    some = [k for k in _unnamed(file) if is_number(file.rows[-1][k])]
     rows = [row for row in file.rows if all(is_number(row[k]) for k in some)]
     values = {k: np.array([row[k] for row in rows], float) for k in some} if len(rows) > 2 * BEAMS else {}
     at, size = list[int](), dict[int, int]()
@@ -230,9 +267,9 @@ def _turning(file: TextTable) -> tuple[list[int], list[int]]:
     return (at, far[-1:]) if sure else ([], [])
 
 
+POINTS = "angle of points [rad]"  # Name of their column
 QUARTER, TURN, STEADY = 0.5 * math.pi, 361.0, 0.95
 """Least and most of all angles, in rad or deg; share of steps between beams that have one sign."""
-FAR, MOST = frozenset(("range", "ranges", "distance", "distances", "dist")), 4000  # Words of ranges; beams of a scan
 NEAR = 0.75  # Steps from a beam within which its range is measured
 
 
@@ -306,7 +343,7 @@ def _folded(file: TextTable, beam: int, columns: Columns, odometry: Odometry) ->
     return file, [beam, *beams], stamp
 
 
-def _alone(file: TextTable, rows: int) -> tuple[int, dict[str, str]] | None:
+def alone_in(file: TextTable, rows: int) -> tuple[int, dict[str, str]] | None:
     """First column of the ranges in a file without names that holds them alone, or behind stamps; else None."""
     if file.named or len(file.names) < BEAMS or not all(is_number(f or "0") for row in file.rows for f in row):
         return None

@@ -1,6 +1,7 @@
 """Files with rows of several kinds, columns of one name, and scans."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -123,6 +124,8 @@ def test_scans_without_names_alone_or_behind_row_numbers_or_stamps_are_known(rea
             log.recorded.scans.ranges.tolist()
             == [list(map(float, r.split(","))) for r in far][: len(log.recorded.scans.frame)]
         )
+    log, said = read({"scan.csv": files["scan.csv"]}, "--scanner=-180deg,10deg,20")
+    assert ("scan matching alone tells the motion" in said, len(log.recorded.scans.frame)) == (True, len(far))
     for refused in (scans(named=False), "\n".join(far[1:])):  # stamps behind, or other rows than the odometry
         assert "or --columns scans.range=N" in unread(files | {"scan.csv": refused}, "--scans", "scan.csv")
 
@@ -131,8 +134,12 @@ def test_scans_without_names_alone_or_behind_row_numbers_or_stamps_are_known(rea
 def test_scans_of_an_array_beside_the_odometry_have_the_angles_of_another(convert, tmp_path, lying):
     """An instant in each column, as MATLAB's programs have them, too; without odometry scans alone tell the motion."""
     far, pose = np.random.default_rng(0).uniform(1.0, 7.0, (300, 41)), np.zeros((300, 3))
-    pose[:, 0] = 0.01 * np.arange(300)
-    parts = {"scans": far.T if lying else far, "odom": pose.T if lying else pose, "angles": np.arange(-80.0, 81.0, 4.0)}
+    pose[:, [0, 2]] = np.arange(300)[:, None] * [0.01, 0.005]
+    parts = {
+        "scans": far.T if lying else far,
+        "poses": pose.T if lying else pose,
+        "angles": np.arange(-80.0, 81.0, 4.0),
+    }
     path = tmp_path / "log.npz"
     np.savez(path, **parts)
     log, said = convert({}, "table", str(path), "out", "--period", "0.2s")
@@ -140,7 +147,7 @@ def test_scans_of_an_array_beside_the_odometry_have_the_angles_of_another(conver
     scanner = log.recorded.scans.scanner
     assert (scanner.angle_min, scanner.angle_step) == pytest.approx((-np.pi / 2.25, np.pi / 45.0))
     assert "inferred: --scans" in said
-    assert log.recorded.increments.mean[1] == pytest.approx([0.01, 0.0, 0.0])
+    assert log.recorded.increments.mean[1] == pytest.approx([0.01, 0.0, 0.005])
     np.savez(path, time=0.2 * np.arange(300), scans=parts["scans"], angles=parts["angles"])
     log, said = convert({}, "table", str(path), "out")
     assert "scan matching alone tells the motion" in said
@@ -183,6 +190,11 @@ def beams(form, head=""):
 GRABBED = beams("{:.4f} {:.1f} 47\n", "#RPLIDAR SCAN DATA\n#COUNT=40\n#Angule\tDistance\tQuality\n")
 
 
+def points(scans):
+    """The beams as x, y [m]."""
+    return [[(r * math.cos(math.radians(a)) / 1e3, r * math.sin(math.radians(a)) / 1e3) for a, r in s] for s in scans]
+
+
 @pytest.mark.parametrize(("name", "text", "first"), [
     ("a.txt", beams("{} {}\n"), 0.0), ("a.json", json.dumps, 0.0),
     ("a.json", lambda scans: json.dumps([scan[k % 2 :] for k, scan in enumerate(scans)]), 0.0),
@@ -192,6 +204,11 @@ GRABBED = beams("{:.4f} {:.1f} 47\n", "#RPLIDAR SCAN DATA\n#COUNT=40\n#Angule\tD
     ("a.log", lambda scans: "\n".join(str([(15, a, r) for a, r in scan]) for scan in scans), 0.0),
     ("a.txt", beams("  theta: {:.2f} Dist: {:08.2f} Q: 47\n"), -351.0),
     ("a.txt", beams("{},{},9\n", "AngleInDegrees,DistInMM,Intensity\n"), 0.0), ("a", GRABBED, 0.0),
+    ("a.json", lambda scans: json.dumps(points(scans)), -171.0),
+    ("a", lambda scans: "\n".join(f"{x},{y}" for x, y in points(scans)[0]), -171.0),
+    ("a.csv", lambda scans: "angle,distance\n" + beams("{},{}\n")([s[:: (-1) ** k] for k, s in enumerate(scans)]), 0.0),
+    ("a.csv", lambda scans: "t,x,y,theta,angle,distance\n" + "".join(
+        f"{k},{0.1 * k},0,0,{a},{r}\n" for k, scan in enumerate(scans) for a, r in scan), 0.0),
     ("a.txt", lambda scans: "\n".join(telegram(k, [r for _, r in scan]) for k, scan in enumerate(scans)), -135.0),
 ])  # fmt: skip
 def test_beams_without_names_and_of_well_known_scanners_are_read(convert, tmp_path, name, text, first):
@@ -201,16 +218,19 @@ def test_beams_without_names_and_of_well_known_scanners_are_read(convert, tmp_pa
     tmp_path.joinpath("a").mkdir()
     log, said = convert(files, "table", name, "out")
     found = log.recorded.scans
-    right = (far[:, ::-1] if first < -180.0 else far) / 1000.0
+    right = {-351.0: far[:, ::-1], -171.0: np.roll(far, 19, axis=1)}.get(first, far) / 1000.0
     assert found.ranges == pytest.approx(np.where(found.ranges > 0.0, right, 0.0))
     assert (found.ranges > 0.0).mean() > 0.98
     assert np.degrees([found.scanner.angle_min, found.scanner.angle_step]) == pytest.approx([first, 9.0])
-    assert ("inferred: --unit scans.range=mm" in said or "DistInMM" in said) != ("telegrams of SICK" in said)
+    assert any(word in said for word in ("inferred: --unit scans.range=mm", "DistInMM", "points", "telegrams of SICK"))
+    assert log.recorded.increments.mean[1:, 0] == pytest.approx(0.1 * ("no odometry in it" not in said))
 
 
 def test_poses_beside_a_distance_are_no_beams(read):
     rows = "".join(f"{k},{np.sin(k / 30)},{-np.cos(k / 30)},{k / 30 % 6.28},{k / 30}\n" for k in range(999))
     assert read({"a.csv": "t,x,y,theta,distance\n" + rows})[0].recorded.scans is None
+    places = "t,x,y\n" + "\n".join(",".join(row.split(",")[:3]) for row in rows.split())
+    assert read({"a.csv": places, "b.csv": places}, "--fixes", "b.csv", "--prior", "0,0,0")[0].recorded.scans is None
 
 
 def test_scans_beyond_the_odometry_are_left_out_and_said_and_their_stamps_are_used(read):
