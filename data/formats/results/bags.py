@@ -14,7 +14,7 @@ import numpy as np
 from data.errors import DataError, UsageError
 from data.formats.recordings import ros
 from data.formats.recordings.ros import ODOMETRY, OLD_TRANSFORMS, TRANSFORMS, Tree, opened, stamp_of
-from data.formats.results.path import STATED, WORLD, Clock, GivenPath, Manner, Spatial, Stated, without_headings
+from data.formats.results.path import ROWS, STATED, WORLD, Clock, GivenPath, Manner, Spatial, Stated, without_headings
 from data.formats.results.space import full, known_only, on_plane, rotations
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -124,6 +124,9 @@ def _spatial(file: str, kind: str, table: Any, stated: Stated, notes: tuple[str,
     C, more = full(table[:, 8:], place)
     covariance, unknown = known_only(C) if kind in WITH_COVARIANCE else (None, ())
     kind, clock = f"{kind}, frame {stated.world or 'not stated'}", Clock("s", STATED)
+    if len(table) > 1 and not np.ptp(table[:, 0]):
+        table[:, 0], clock = np.arange(len(table)), Clock("s", ROWS)
+        notes = (*notes, "all stamps are equal: its poses belong to the rows of the other file")
     R = rotations(table[:, 4:8], place)
     p = table[:, 1:4]
     return Spatial(file, kind, table[:, 0], p, R, covariance, WORLD, place, stated, (*notes, *more, *unknown), clock)

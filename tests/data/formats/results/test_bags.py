@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from data.errors import DataError, UsageError
-from data.formats.results.path import WORLD
+from data.formats.results.path import ROWS, WORLD
 from data.formats.results.reading import read_path
 from eval.score import main as score
 from tests.data.formats.bags.made import START, Full, get_types_from_msg
@@ -64,6 +64,15 @@ def test_which_topic_must_be_said_where_there_are_several(tmp_path):
 
 
 WAY = [(0.5 * k, math.sin(0.3 * k), 0.1 * k) for k in range(30)]
+
+
+def test_a_path_whose_poses_have_one_stamp_is_of_the_rows_of_the_other_file(tmp_path):
+    maker = Full("mcap")
+    each = [maker._of("geometry_msgs/msg/PoseStamped", maker._header("map", 0.0), maker._pose(*pose)) for pose in WAY]
+    maker._send(1.0, "/plan", "nav_msgs/msg/Path", header=maker._header("map", 0.0), poses=each)
+    path = read_path(f"{maker.save(tmp_path)}:/plan")
+    assert (path.clock.by, len(path.notes)) == (ROWS, 1)
+    assert path.pose == pytest.approx(np.array(WAY))
 
 
 def moved(place, T):
