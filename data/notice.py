@@ -50,7 +50,6 @@ class Code(StrEnum):
     NO_ODOMETRY = "no-odometry", WARNING
     ODOMETRY_UNIT = "odometry-unit", WARNING
     HEADING_UNIT = "heading-unit", WARNING
-    RANGE_UNIT = "range-unit", WARNING
     FEW_RETURNS = "few-returns", WARNING
     FEW_BEAMS = "few-beams", WARNING
     MOUNTING = "mounting", WARNING

@@ -171,21 +171,7 @@ def returns(_: Log, scans: Scans) -> list[Notice]:
     return [] if share > FEW_RETURNS else [notice(Code.FEW_RETURNS, share=share, max_range=scans.scanner.max_range)]
 
 
-SMALLEST, LARGEST = 0.05, 60.0  # m, the middle range of scans in metres
-
-
-def range_unit(_: Log, scans: Scans) -> list[Notice]:
-    """Ranges that are too long or too short for metres."""
-    seen = scans.ranges[scans.ranges > 0.0]
-    middle = float(np.median(seen)) if len(seen) else 1.0
-    if SMALLEST < middle < LARGEST:
-        return []
-    unit = "mm" if middle > 1000.0 else "cm" if middle > 1.0 else "km"
-    flags = (f"--range-unit {unit}",) if unit != "km" else ()
-    return [notice(Code.RANGE_UNIT, middle=middle, unit=unit, flags=flags)]
-
-
-CHECKS = (no_odometry, odometry_unit, range_unit, returns, mounting)
+CHECKS = (no_odometry, odometry_unit, returns, mounting)
 
 
 def questions(log: Log) -> list[Notice]:

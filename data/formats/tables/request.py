@@ -442,7 +442,7 @@ def _beside_odometry(p: _Parts, given: Given) -> None:
         if not own and role in ("truth", "fixes") and table.named:
             own = p.columns.quiet.tells(table, role)
         if not own and role == SCANS and not {*p.observing} & {*p.files}:
-            own = wide_in(table, stated="scanner" in given) or [table.names[-1]] * bool(alone_in(table, len(table)))
+            own = wide_in(table, stated="scanner" in given) or [*alone_in(table, len(table)).values()]
         if own:
             p.files[role], p.texts[role] = path, table
             p.infer(f"--{role} {path}, of its columns {', '.join(own)}")
@@ -450,6 +450,10 @@ def _beside_odometry(p: _Parts, given: Given) -> None:
         if arrays and (layout := by_layout(table, role, alone=False)) is not None:
             p.files[role], p.texts[role], told = path, *_laid_out(table, role, p.columns, layout)
             p.infer(f"--{role} {path}, {told}")
+    alone = alone_in(p.texts[SCANS], len(table)) if SCANS in p.texts and not p.find(SCANS, ("t", "range")) else {}
+    if alone:
+        p.columns.given = {**p.columns.given, **alone}
+        p.infer(f"--columns {','.join(f'{k}={v}' for k, v in alone.items())}", SCANS)
     if p.observing == (OBSERVATIONS,) and OBSERVATIONS not in p.texts:
         there = any(key in STARRED[:2] or key.startswith(f"{OBSERVATIONS}.") for key in p.named)
         there |= bool(table_files.stars(table)) or not MEASURES & {*p.files}
@@ -517,10 +521,6 @@ def _blind(p: _Parts, given: Given) -> tuple[float, Given]:
     table, looked = p.texts["odometry"], p.columns.quiet
     if _moves(p, table) or "odometry-kind" in given:
         return 0.0, given
-    if p.texts.get(SCANS) is table and (found := alone_in(table, len(table))):
-        own = {**found[1], "scans.range": str(found[0] + 1)}
-        p.columns.given = {**own, **p.columns.given}
-        p.infer(f"--columns {','.join(f'{k}={v}' for k, v in own.items())}", SCANS)
     if p.texts.get(SCANS) is table:
         p.columns.notes.append(f"{p.files[SCANS].name}: no odometry in it: scan matching alone tells the motion")
         p.hold(KINDS["poses"])

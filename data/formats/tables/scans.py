@@ -45,9 +45,6 @@ def read_scans(
     first = columns.find(file, "scans", "range")
     beams = [k for k, name in enumerate(file.names) if RANGE.fullmatch(name)]
     t = columns.find(file, "scans", "t")
-    if file.path.is_dir() and (points := len(file.names) - 1) <= 3 and "ranges" not in at:
-        what = f"{points} numbers in a row are points, no beams; for each scan a row of its ranges at equal angles"
-        raise DataError.at(file.path, f"{what} is needed, in one file: range0, range1, ...")
     if first is not None:  # of an array named Z those named Z_1, Z_2, ...
         stem = file.names[first].rstrip("0123456789")
         beams = [k for k in range(first, len(file.names)) if k != t and (not stem or file.names[k].startswith(stem))]
@@ -59,12 +56,6 @@ def read_scans(
     if not beams and listed is None and (wide := wide_in(file, stated=True)):  # the only array of many numbers
         beams = list(range(file.names.index(wide[0]), file.names.index(wide[1]) + 1))
         columns.notes.append(f"{file.path.name}: inferred: --columns scans.range={wide[0]}")
-    alone = None if beams or listed is not None or t else alone_in(file, len(odometry.rows))
-    if alone is not None:
-        first, before = alone
-        beams, columns.given = list(range(first, len(file.names))), {**columns.given, **before}
-        told = ",".join(f"{k}={v}" for k, v in [*before.items(), ("scans.range", first + 1)])
-        columns.notes.append(f"{file.path.name}: inferred: --columns {told}")
     if not beams and listed is None:
         what = f"no scans: {described(file)}; columns such as range0, range1 are needed"
         raise DataError.at(file.path, f"{what}, or --columns scans.range=N: all from the N-th on")
@@ -95,7 +86,7 @@ def read_scans(
         raise UsageError(f"--scanner: {what}; are there intensities between the ranges? Leave their columns out")
     if stamp is None:
         rows = odometry.rows if len(file) == len(odometry.rows) else odometry.rows[~np.isnan(odometry.rows)]
-        stamped = bool(alone[1]) if alone else t is not None or len(file) != len(rows)
+        stamped = t is not None or len(file) != len(rows)
         stamp = columns.stamps(file, "scans", np.ones(len(file), bool)) if stamped else rows
     found, header = Collected(), SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0), frame_id="laser")
     given = {} if scanner is None else dict(zip(STATED, scanner.tolist(), strict=True))
@@ -131,7 +122,6 @@ def read_scans(
         angles = {name: unit * own[name] for name in GEOMETRY[:3]}
         message = SimpleNamespace(header=header, ranges=ranges, **own | angles)
         found.scans.add(message, float(stamp[k]), f"{file.path}:{line}")
-    t = columns.find(file, "scans", "t")  # of a file without names it may be known by now
     used = (*beams, *(j for j, _ in numbers.values()), t)
     columns.read |= {(file.path, file.names[k]) for k in used if k is not None}
     if mount is not None:
@@ -343,10 +333,10 @@ def _folded(file: TextTable, beam: int, columns: Columns, odometry: Odometry) ->
     return file, [beam, *beams], stamp
 
 
-def alone_in(file: TextTable, rows: int) -> tuple[int, dict[str, str]] | None:
-    """First column of the ranges in a file without names that holds them alone, or behind stamps; else None."""
+def alone_in(file: TextTable, rows: int) -> dict[str, str]:
+    """Columns of a file without names that holds ranges alone, or behind stamps; else none."""
     if file.named or len(file.names) < BEAMS or not all(is_number(f or "0") for row in file.rows for f in row):
-        return None
+        return {}
     values = np.nan_to_num(np.array([[f or "0" for f in row] for row in file.rows], float), posinf=0.0)
     step = np.diff(values[:, 0])
     before = len(step) >= FEWEST and bool((step > 0.0).all())
@@ -354,7 +344,8 @@ def alone_in(file: TextTable, rows: int) -> tuple[int, dict[str, str]] | None:
     apart = np.median(np.abs(np.diff(values[:, before:])), axis=0)  # of neighbours, which are alike
     ends = max(apart[:FEWEST].max(), apart[-FEWEST:].max())
     fine = (values[:, before:] >= 0.0).all() and ends <= ALIKE_ENDS * apart[FEWEST:-FEWEST].max()
-    return (int(before), {"scans.t": "1"} if stamped else {}) if fine and (stamped or len(values) == rows) else None
+    told = {"scans.t": "1"} if stamped else {}
+    return {**told, "scans.range": str(1 + before)} if fine and (stamped or len(values) == rows) else {}
 
 
 OTHERWISE = "a column for each beam, or the angle of each range (--columns scans.bearing=NAME)"

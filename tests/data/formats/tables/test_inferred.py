@@ -225,7 +225,7 @@ def test_points_are_no_beams(convert, tmp_path):
     flags = ("--scans", str(tmp_path / "scans"), "--scanner", "-1,0.1,8")
     odometry = text("t,v,omega", T[:9], V[:9], OMEGA[:9])
     said = convert({"o.csv": odometry}, "table", "o.csv", "out", *flags, status=2)
-    assert "3 numbers in a row are points, no beams; for each scan a row of its ranges" in said
+    assert "no scans: columns frame, 1, 2, 3; columns such as range0, range1 are needed" in said
 
 
 def test_latitudes_in_rad_and_a_column_for_two_quantities(convert):
