@@ -52,21 +52,10 @@ LOOKS = {"descriptor": "descriptor-sigma", "class": "class-error"}
 """Columns of appearance, and the flag that states the noise of each; without it the column is not read."""
 MEASURES = {"fixes", "closures", SCANS, SECOND}  # Parts beside which a log needs no observations
 OF_SENSORS = ("observation-sigma", "sensor-pose", "max-range", "view", "sees", *LOOKS.values())  # Of each sensor
-XY, PLACE = ("length",) * 2, "x, y [m], angle [rad or as in 90deg]"
-ANY, FROM_ZERO, ABOVE_ZERO = None, True, False
 NUMBERS = {
-    "sensor-pose": (POSE, PLACE, ANY), "map-transform": (POSE, PLACE, ANY), "truth-transform": (POSE, PLACE, ANY),
-    "max-range": (("length",), "metres", ABOVE_ZERO),
-    "view": (("angle",) * 2, "least and largest bearing, as in -60deg,60deg", ANY),
-    "prior": (POSE, "x, y [m], heading [rad], or the word truth", ANY),
-    "prior-sigma": (POSE, "x and y [m], heading [rad]", FROM_ZERO),
-    "closure-sigma": (POSE, "of dx and dy [m] and of the turn [rad], as in 0.1,0.1,1deg", ABOVE_ZERO),
-    "scanner": (("angle", "angle", "length"), "first angle, step and reach, as in -90deg,0.5deg,8m", ANY),
-    "fix-lever": (XY, "x and y [m] in the body frame", ANY),
-    "fix-rotation": (("angle",), "an angle [rad, or as in 90deg]", ANY),
-    "descriptor-sigma": (("",), "one number", ABOVE_ZERO), "class-error": (("",), "one number", ANY),
-}  # fmt: skip
-"""Flags of numbers: dimensions, what is needed in words, and which numbers may be."""
+    flag: (of["dimensions"].split(","), of["needed"], of.get("zero")) for flag, of in motion.SAID["numbers"].items()
+}
+"""Flags of numbers: dimensions, what is needed in words, and which numbers may be: any, 0, or only more."""
 LENGTH = "length"  # Key of the unit that `--unit length` states, in the request as settled
 FILE = "file"  # Key of a table [sensor.NAME] of a mapping file, beside those flags
 ASSUMED = {"density": "5cm,2deg", "travel": ",".join(map("{:g}".format, TravelNoise()))}
