@@ -23,19 +23,7 @@ from data.formats.arrays import is_arrays
 from data.formats.recordings.laser import SPEED, TravelNoise
 from data.formats.results.reading import RATES, words_of
 from data.formats.tables import files as table_files, motion
-from data.formats.tables.files import (
-    POSE,
-    ROLES,
-    SCANS,
-    SECOND,
-    STAMPED,
-    STARRED,
-    Columns,
-    Given,
-    Units,
-    column_of,
-    described,
-)
+from data.formats.tables.files import POSE, ROLES, SCANS, SECOND, STAMPED, STARRED, Columns, Given, Units, described
 from data.formats.tables.layout import by_layout, landmarks_in_rows, named_alike, seen_by_layout
 from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of, path_of
 from data.formats.tables.scans import BEAMS, alone_in, folded_up, wide_in
@@ -427,7 +415,8 @@ def _beside_odometry(p: _Parts, given: Given) -> None:
     """Take the parts that are in the file of the odometry: stated, or told by names or by their form."""
     path, table = p.files["odometry"], p.texts["odometry"]
     for role in (r for r in ROLES[1:] if r not in p.texts):
-        own = [n for key, n in p.named.items() if key.startswith(f"{role}.") and column_of(table, n) is not None]
+        stated = [n for key, n in p.named.items() if key.startswith(f"{role}.")]
+        own = [n for n in stated if table_files.column_of(table, n) is not None]
         if not own and role in ("truth", "fixes") and table.named:
             own = p.columns.quiet.tells(table, role)
         if not own and role == SCANS and not {*p.observing} & {*p.files}:
