@@ -134,7 +134,9 @@ def sensors_of(given: Given, files: Mapping[str, TextTable], columns: Columns, k
         if (files[role] is files["odometry"] and columns.quiet.has(files[role], "odometry", pose))
         or any(columns.taken(files[role], role, ("x", "y"), files.get(of), of) for of in ("truth", "fixes"))
     }
-    free = "truth" in files and not names and len(texts) == 1 and files.get(OBSERVATIONS) is files["odometry"]
+    own = {columns.quiet.find(files["odometry"], "odometry", q) for q in ("t", *KINDS[kind])}
+    free = "truth" in files or given.get("frames") == "odometry" or own >= {*files["odometry"].filled}
+    free &= not names and len(texts) == 1 and files.get(OBSERVATIONS) is files["odometry"]
     each = (_sensor(r, r if names else "", texts, files[r], columns, r in taken, free=free) for r in roles)
     return tuple(of for of in each if of is not None)
 
@@ -153,7 +155,7 @@ def _sensor(
     measured = (alone,) if alone is not None else ("range", "bearing") if found else ("x", "y")
     points = columns.has(file, role, measured) and (not taken or columns.stated(role, measured))
     if measured == ("x", "y") and not points:
-        own, where = f"{name}." if name else "", "or their file with --observations"
+        own, where = f"{name}." if name else "", "or their file with --observations (none: --frames odometry)"
         what = f"no observations: {described(file)}; range and bearing, or x and y in the sensor's frame, are needed"
         numbered = Counter(re.sub(r"\d+$", "*", name) for name in file.names if file.named)
         star = next((name for name, n in numbered.most_common(1) if n > 1 and name != "*"), "")
@@ -463,7 +465,8 @@ def _by_layout(p: _Parts) -> list[str]:
     for role in ("odometry",) * (not odometry) + ("truth", "map"):
         known = any(key.startswith(f"{role}.") for key in p.columns.given)
         if role in unnamed and not known and (layout := by_layout(p.texts[role], role)) is not None:
-            p.texts[role], told = _laid_out(p.texts[role], role, p.columns, layout)
+            file, (p.texts[role], told) = p.texts[role], _laid_out(p.texts[role], role, p.columns, layout)
+            p.texts.update({r: p.texts[role] for r in p.observing if p.texts.get(r) is file})
             p.infer(told, role)
     typed = {key.rpartition(".")[2] for key in p.named}
     if OBSERVATIONS in p.texts and "map" not in p.texts and not typed & {"id", *table_files.IDS}:

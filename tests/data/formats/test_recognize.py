@@ -32,7 +32,7 @@ def test_a_recording_is_named_in_one_line_with_the_command_that_converts_it(tmp_
 @pytest.mark.parametrize(("name", "text", "words"), [
     ("walk.xyz", "\x00\x01", ("a file of unknown type", "slamref convert table --help")),
     ("folder", None, ("no such file", "slamref convert")),
-    ("odometry.csv", "t,x,y,theta\n0,0,0,0\n1,1,0,0\n", ("no observations", "--observations")),
+    ("odometry.csv", "t,x,y,theta,s\n0,0,0,0,1\n1,1,0,0,2\n", ("no observations", "--observations")),
 ])  # fmt: skip
 def test_what_cannot_be_a_log_is_answered_with_what_is_missing_and_what_to_type(name, text, words, tmp_path, refused):
     path = tmp_path / name

@@ -499,6 +499,10 @@ def test_odometry_and_truth_in_one_row_of_several_runs(convert, unread):
     assert (len(log.recorded), len(log.recorded.observations.z)) == (9, 0), "a frame for each row"
     assert "without observations; if it has some, name them as in --columns range=DIST" in said
     assert "odometry is v and omega" in convert({"a.csv": text}, "table", "a.csv:run=1", "out")[1]
+    alone = {"c.csv": WHEELS, "d.csv": WHEELS.replace(",1,", ",1,8,").replace("v,", "v,hall,")}
+    assert "--frames odometry" in unread({"d.csv": alone["d.csv"]})
+    for name, words in (("c.csv", ()), ("d.csv", ("--frames", "odometry"))):
+        assert len(convert(alone, "table", name, "out", *words)[0].recorded) == 60
 
 
 def cell(*items):
