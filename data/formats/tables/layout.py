@@ -106,14 +106,14 @@ def seen_by_layout(
         values = np.array(part.rows, float)
         if values.shape[1] < 4 or values.shape[1] % 3 != 1 or (np.diff(values[:, 0]) < 0.0).any():
             continue
-        first = "frame" if part.names[0].endswith(ELEMENT) else "t"
         each = values[:, 1:].reshape(-1, 3)
         ids = [j for j in range(3) if (each[:, j] == np.abs(np.round(each[:, j]))).all()]
         if len(ids) != 1:
             continue
         if (path := path_of()) is None:
             return None
-        count = len(values[0]) // 3
+        count, unstamped = len(values[0]) // 3, np.array_equal(path[0], np.arange(len(path[0])))
+        first = "frame" if unstamped or part.names[0].endswith(ELEMENT) else "t"
         at = values[:, 0] if first == "t" else path[0][np.minimum(values[:, 0].astype(int), len(path[0]) - 1)]
         pose = se2.interpolate(*path, np.repeat(at, count))
         found = []

@@ -285,7 +285,8 @@ def path_of(texts: Mapping[str, TextTable], columns: Columns, kind: str) -> tupl
         values = values[np.isfinite(values).all(axis=1)]
         if len(values) > 1:
             return values[:, 0], quiet.turned(texts["truth"], "truth", values[:, 0], values[:, 1:])
-    if kind in ("ticks", "car") or quiet.find(texts["odometry"], "odometry", "t") is None:
+    timed = kind in ("poses", "steps") or quiet.find(texts["odometry"], "odometry", "t") is not None
+    if kind in ("ticks", "car") or not timed:
         return None
     odometry = read_odometry(texts["odometry"], quiet, kind, None)
     if not odometry.velocities:

@@ -96,6 +96,9 @@ def test_observations_without_names_are_read_as_landmarks_stand_still(convert, o
     if "range" in order:
         log, said = convert(files, "table", "o.csv", "out", "--observations", "wide.csv")
         assert (len(log.recorded.observations.z), log.label.tolist()) == (60, [0, 1] * 30)
+    files = {"o.csv": text("", POSE).lstrip(), "z.csv": text("", at, seen[:, 1:]).lstrip()}  # by the row of a pose
+    log, _ = convert(files, "table", "o.csv", "out", "--observations", "z.csv")
+    assert (log.recorded.observations.frame == at).all()
 
 
 def test_observations_of_a_robot_that_stands_still_are_not_read(convert):
