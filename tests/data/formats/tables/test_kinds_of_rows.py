@@ -363,13 +363,19 @@ def test_series_of_arrays_have_the_stamps_that_are_as_long(convert, tmp_path, se
         assert "not used: l_dist_var" in said
 
 
-def test_observations_within_objects_of_json(read):
+def test_observations_within_objects_of_json_also_as_lists_side_by_side(read):
     seen = [[{"id": j, "r": 2.0 + j, "phi": 0.1 * k} for j in range(k % 3)] for k in range(9)]
     rows = [{"t": k, "v": 0.5, "omega": 0.1, "seen": some} for k, some in enumerate(seen)]
     names = "label=seen.id,range=seen.r,bearing=seen.phi,observations.frame=element"
     log, _ = read({"a.json": json.dumps(rows)}, "--columns", names)
     assert log.recorded.observations.z[:, 0] == pytest.approx([2.0, 2.0, 3.0] * 3)
     assert log.label == pytest.approx([0, 0, 1] * 3)
+    each = ((k, k % 4) for k in range(40))
+    seen = [{"t": k, "data": {"ids": [*range(n)], "r": [5.0] * n, "b": [0.1 * k] * n}} for k, n in each]
+    text = json.dumps({"odom": [[0.1 * k, 0.5, 0.1] for k in range(500)], "obs": seen})
+    log, _ = read({"a.json": text}, "--columns", "range=data.r,bearing=data.b")
+    assert log.label[:4].tolist() == [0, 0, 1, 0]
+    assert log.recorded.observations.z[:4, 1] == pytest.approx([0.1, 0.2, 0.2, 0.3])
 
 
 SEEN = [[(j, 2.0 + j, 0.1 * k) for j in range(k % 3)] for k in range(30)]
@@ -387,14 +393,11 @@ def test_observations_within_a_field(read, form):
     assert log.recorded.observations.frame == pytest.approx(np.repeat(range(30), [0, 1, 2] * 10))
 
 
-def test_scans_within_a_field(read):
+def test_scans_within_a_field_and_a_list_of_ranges_beside_a_list_of_bearings(read):
     far = np.linspace(1.0, 5.0, 40 * 36).reshape(40, 36)
     rows = [f'{0.1 * k},{0.05 * k},0,0,"{z.tolist()}"\n' for k, z in enumerate(far)]
     log, _ = read({"a.csv": "".join(["t,x,y,theta,ranges\n", *rows])}, "--scans", "a.csv", "--scanner=-180deg,10deg,8m")
     assert log.recorded.scans.ranges == pytest.approx(far)
-
-
-def test_a_list_of_ranges_beside_a_list_of_bearings(read):
     rows = [f'{k},0.5,0,"{[2.0, 3.0][: k % 3]}","{[0.1 * k] * (k % 3)}"' for k in range(9)]
     log, _ = read({"a.csv": "t,v,w,r,phi\n" + "\n".join(rows)}, "--columns", "omega=w,range=r,bearing=phi")
     o = log.recorded.observations
@@ -511,8 +514,10 @@ def cell(*items):
     return made
 
 
-def test_structs_and_matrices_within_arrays_are_rows(convert, tmp_path):
-    """As many landmarks as a step has; a field named time holds the time between steps, as it does not ascend."""
+def test_structs_matrices_and_cells_within_arrays_are_rows(convert, tmp_path):
+    """As many landmarks as a step has; a field named time holds the time between steps, as it does not ascend. Steps
+    between poses; numbers of poses count from 1.
+    """
     seen = [np.array([[40.0 - k, 2.0][: 1 + k % 2], [0.5, 0.1][: 1 + k % 2], [7, 9][: 1 + k % 2]]) for k in range(30)]
     steps = [{"speed": [[0.5], [0.1]], "marks": z, "time": 0.1 + 0.02 * (k % 2)} for k, z in enumerate(seen)]
     savemat(tmp_path / "a.mat", {"d": steps})
@@ -523,10 +528,6 @@ def test_structs_and_matrices_within_arrays_are_rows(convert, tmp_path):
     assert (o.frame[:6].tolist(), log.label[:6].tolist()) == ([0, 1, 1, 2, 3, 3], [7, 7, 9, 7, 7, 9])
     assert o.z[[0, 2]] == pytest.approx(np.array([[40.0, 0.5], [2.0, 0.1]]))
     assert "inferred: --columns odometry.dt=time, as time does not ascend" in said
-
-
-def test_cells_of_matrices_and_structs_within_structs(convert, tmp_path):
-    """Steps between poses; numbers of poses count from 1."""
     odometry, truth = np.array([[0.5], [0.0], [0.1]]).repeat(40, axis=1), np.zeros((3, 41))
     z = cell(*([[5.0, 4.0][: k % 3], [0.1, 0.2][: k % 3]] for k in range(40)))
     savemat(tmp_path / "b.mat", {"odo": odometry, "gt": truth, "z": z})
@@ -635,12 +636,3 @@ def test_cells_by_row_are_lines_of_words_and_numbers(convert, tmp_path, form):
     file, named = "a.json" if form == "lists" else "a.mat", "odometry.t=2,v=3,omega=4,range=3,bearing=4"
     log, _ = convert({"a.json": json.dumps(rows)}, "table", file, "out", "--columns", named)
     assert log.recorded.observations.z[:, 0] == pytest.approx(9.0 - 0.1 * np.arange(40))
-
-
-def test_lists_side_by_side_in_objects_and_what_is_named_alone(convert):
-    each = ((k, k % 4) for k in range(40))
-    seen = [{"t": k, "data": {"ids": [*range(n)], "r": [5.0] * n, "b": [0.1 * k] * n}} for k, n in each]
-    text = json.dumps({"odom": [[0.1 * k, 0.5, 0.1] for k in range(500)], "obs": seen})
-    log, _ = convert({"a.json": text}, "table", "a.json", "out", "--columns", "range=data.r,bearing=data.b")
-    assert log.label[:4].tolist() == [0, 0, 1, 0]
-    assert log.recorded.observations.z[:4, 1] == pytest.approx([0.1, 0.2, 0.2, 0.3])
