@@ -161,6 +161,9 @@ def read_fixes(file: TextTable, wanted: Wanted, odometry: Odometry, notes: list[
 def read_closures(file: TextTable, wanted: Wanted, odometry: Odometry) -> Rows:
     """The closures of a file, by their later end."""
     role = "closures"
+    if wanted.columns.find(file, role, "dx") is None and wanted.columns.find(file, role, "range") is not None:
+        what = "ranges between poses or robots are not read, as they tell no motion; dx, dy, dtheta are needed"
+        raise DataError.at(file.path, what)
     keys, stamped = _instants(file, wanted, role, odometry, ("t1", "t2"), ("frame1", "frame2"))
     table, _ = wanted.columns.table(
         file, role, (*keys, *RELATIVE), optional=SIGMAS, texts=("source",), may_be_blank=SIGMAS

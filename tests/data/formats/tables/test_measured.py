@@ -92,6 +92,7 @@ def test_velocities_of_slow_rows_hold_until_the_next_one_and_what_a_gap_leaves_o
     ({"fixes": "t,x,y\n99,1,1\n"}, ("--fix-sigma", "1,1"), "fixes from 99 to 99 s, odometry from 0 to 3 s do not"),
     ({"closures": "t1,t2,dx,dy,dtheta\n1,1,1,0,0\n"}, ("--closure-sigma", "1,1,1"), ":2: column t2: 1 is t1, too"),
     ({"closures": "t1,t2,dx,dy,dtheta\n1,2,1,0,0\n"}, (), ":2: unknown noise of this closure; --closure-sigma"),
+    ({"closures": "t1,t2,range\n1,2,1\n"}, (), ": ranges between poses or robots are not read"),
     ({"fixes": "t,x,y\n0.5,1,1\n"}, ("--closure-sigma", "1,1,1"), "--closure-sigma 1,1,1: there are none"),
 ])  # fmt: skip
 def test_one_line_says_what_is_wrong(table, parts, words, said):
