@@ -247,7 +247,7 @@ MORE: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Quantities that a file may lack, by role; of sensors as of observations."""
 SPEED = ("velocity", "vel", "v", "speed", "omega", "w")  # Words of the speed of a wheel, the last two of its turning
-HOLDING = ("data", "message", "msg", "payload")  # Words of objects within an object
+HOLDING = ("data", "message", "msg", "payload", "steps", "records", "samples", "entries")  # Of objects within an object
 WHEEL = "|".join((*HOLDING, "wheels?", *SPEED, "ticks?|counts?|position|pos|angle|joint|encoders?|enc|phi"))
 WHEELS = {side: re.compile(f"(?!{side[0]}$)(?:{WHEEL})*(?:{side}|{side[0]})(?:{WHEEL})*") for side in ("left", "right")}
 ALSO, TWIST = ({q: (*words.split(),) for q, words in NAMES[kind].items()} for kind in ("also", "twist"))
@@ -487,7 +487,8 @@ class Columns:
             if column is None:
                 name = self.given.get(q, q)
                 what = f"no column {name!r}{did_you_mean(name, file.names)} for {q}; it has {described(file)}"
-                raise DataError.at(file.path, f"{what}; name it as in --columns {role}.{q}=NAME")
+                none = " (rows at equal times: --period S)" * ((role, q) == ("odometry", "t"))
+                raise DataError.at(file.path, f"{what}; name it as in --columns {role}.{q}=NAME{none}")
             first = next((row[column] for row in file.rows if row[column]), "")
             if q in STAMPS and not {"t", "time", f"{role}.t"} & set(self.units.given):
                 large = float(first) if is_number(first) else 0.0

@@ -86,6 +86,8 @@ def _names(rows: Sequence[tuple[str, ...]], role: str, title: str) -> tuple[str,
         if values.shape[1] == 2:
             return "x", "y"
         return ("id", "x", "y") if whole and len(np.unique(ids)) == len(ids) else ()
+    if role == "fixes":
+        return ("t", "x", "y") if values.shape[1] == 3 and (np.diff(values[:, 0]) > 0.0).all() else ()
     last = np.append(np.diff(values[:, 0]) != 0.0, True)  # of equal stamps
     path = only_reading([row for row, taken in zip(rows, last.tolist(), strict=True) if taken])
     if "yaw" in path:

@@ -462,7 +462,7 @@ def _by_layout(p: _Parts) -> list[str]:
     if "map" in p.texts and not any(k.startswith("map.") or n in p.texts["map"].names for k, n in p.named.items()):
         unnamed.append("map")
     odometry = any(p.columns.quiet.has(p.texts["odometry"], "odometry", KINDS[k]) for k in ("velocities", "poses"))
-    for role in ("odometry",) * (not odometry) + ("truth", "map"):
+    for role in ("odometry",) * (not odometry) + ("truth", "map", "fixes"):
         known = any(key.startswith(f"{role}.") for key in p.columns.given)
         if role in unnamed and not known and (layout := by_layout(p.texts[role], role)) is not None:
             file, (p.texts[role], told) = p.texts[role], _laid_out(p.texts[role], role, p.columns, layout)

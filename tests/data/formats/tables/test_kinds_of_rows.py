@@ -32,12 +32,14 @@ def unread(refused, tmp_path, monkeypatch):
     return run
 
 
-def test_rows_of_one_kind_are_named_behind_the_file(convert, unread):
+def test_rows_of_one_kind_are_named_behind_the_file(convert, read, unread):
     words = ("--observations", "in.txt:range2", "--columns", "v=3,omega=4,t=2,range=3,label=4", *NOISE)
     log, said = convert({"in.txt": MIXED}, "table", "in.txt:odom2", "out", *words)
     assert "in.txt:odom2: columns not used: 5, 6\n" in said
     assert log.recorded.observations.z[:, 0] == pytest.approx(9.0 - np.arange(9))
     assert log.recorded.increments.mean[2, 2] == pytest.approx(0.1)
+    told = "".join(f"ODOM {k} {k} 0 0\nGPS {k}.5 {k}.4 0\n" for k in range(60))
+    assert read({"g.txt": told})[0].recorded.fixes.z[:, 0] == pytest.approx(0.4 + np.arange(59))
     assert "in.txt:odom2: no odometry: columns 1 to 6" in unread({"in.txt": MIXED})
     assert "rows hold pose (9), range2 (9): name those" in unread({"in.txt": MIXED.replace("odom2", "pose")})
 
@@ -370,6 +372,9 @@ def test_observations_within_objects_of_json_also_as_lists_side_by_side(read):
     log, _ = read({"a.json": json.dumps(rows)}, "--columns", names)
     assert log.recorded.observations.z[:, 0] == pytest.approx([2.0, 2.0, 3.0] * 3)
     assert log.label == pytest.approx([0, 0, 1] * 3)
+    around = json.dumps({"steps": rows, "made": [{"by": 1}, {"by": 2}]})
+    log, _ = read({"b.json": around}, "--columns", names.replace("seen", "steps.seen").replace("=el", "=steps.el"))
+    assert (len(log.recorded.observations.z), log.recorded.increments.mean[1, 2]) == (9, pytest.approx(0.1))
     each = ((k, k % 4) for k in range(40))
     seen = [{"t": k, "data": {"ids": [*range(n)], "r": [5.0] * n, "b": [0.1 * k] * n}} for k, n in each]
     text = json.dumps({"odom": [[0.1 * k, 0.5, 0.1] for k in range(500)], "obs": seen})
