@@ -151,7 +151,7 @@ def test_a_row_of_zeros_an_odometry_to_the_other_side_and_fixes_of_a_gps_receive
     assert "time unit" not in said
 
 
-def test_a_folder_of_observations_a_file_for_each_row(convert, tmp_path):
+def test_a_folder_of_observations_a_file_for_each_row_or_of_points_which_are_no_beams(convert, tmp_path):
     """Rows without stamps at a stated period; observations are points in the sensor's frame."""
     (tmp_path / "seen").mkdir()
     for k in range(300):
@@ -161,6 +161,13 @@ def test_a_folder_of_observations_a_file_for_each_row(convert, tmp_path):
     log, _ = convert({"o.csv": text("", V, OMEGA).lstrip()}, "table", "o.csv", "out", *words)
     assert np.bincount(log.recorded.observations.frame).tolist() == [1 + k % 3 for k in range(300)]
     assert log.recorded.time[-1] == pytest.approx(29.9)
+    (tmp_path / "scans").mkdir()
+    for k in range(3):
+        (tmp_path / "scans" / f"{k}.txt").write_text("1.0 2.0 0.3\n1.1 2.0 0.3\n1.2 2.0 0.3\n")
+    flags = ("--scans", str(tmp_path / "scans"), "--scanner", "-1,0.1,8")
+    odometry = text("t,v,omega", T[:9], V[:9], OMEGA[:9])
+    said = convert({"o.csv": odometry}, "table", "o.csv", "out", *flags, status=2)
+    assert "no scans: columns frame, 1, 2, 3; columns such as range0, range1 are needed" in said
 
 
 def test_a_compass_and_dates(convert):
@@ -218,17 +225,6 @@ def test_an_array_of_scans_beside_stamps_and_headings_of_the_names_time_and_t(co
     assert all(f"inferred: --columns {flag}" in said for flag in ("t=time", "scans.range=laser_1"))
     assert "pass a full turn" in convert({}, *flags, "--scanner", "-90deg,10deg,8m", status=2)
     assert log.recorded.scans.ranges.shape == (300, 40)
-
-
-def test_points_are_no_beams(convert, tmp_path):
-    """Seen: a folder of points, a file for each scan, was read as scans of three beams."""
-    (tmp_path / "scans").mkdir()
-    for k in range(3):
-        (tmp_path / "scans" / f"{k}.txt").write_text("1.0 2.0 0.3\n1.1 2.0 0.3\n1.2 2.0 0.3\n")
-    flags = ("--scans", str(tmp_path / "scans"), "--scanner", "-1,0.1,8")
-    odometry = text("t,v,omega", T[:9], V[:9], OMEGA[:9])
-    said = convert({"o.csv": odometry}, "table", "o.csv", "out", *flags, status=2)
-    assert "no scans: columns frame, 1, 2, 3; columns such as range0, range1 are needed" in said
 
 
 def test_latitudes_in_rad_and_a_column_for_two_quantities(convert):

@@ -32,7 +32,7 @@ def unread(refused, tmp_path, monkeypatch):
     return run
 
 
-def test_rows_of_one_kind_are_named_behind_the_file(convert, read, unread):
+def test_rows_of_one_kind_are_named_behind_the_file_and_columns_of_one_name_by_numbers(convert, read, unread):
     words = ("--observations", "in.txt:range2", "--columns", "v=3,omega=4,t=2,range=3,label=4", *NOISE)
     log, said = convert({"in.txt": MIXED}, "table", "in.txt:odom2", "out", *words)
     assert "in.txt:odom2: columns not used: 5, 6\n" in said
@@ -42,9 +42,6 @@ def test_rows_of_one_kind_are_named_behind_the_file(convert, read, unread):
     assert read({"g.txt": told})[0].recorded.fixes.z[:, 0] == pytest.approx(0.4 + np.arange(59))
     assert "in.txt:odom2: no odometry: columns 1 to 6" in unread({"in.txt": MIXED})
     assert "rows hold pose (9), range2 (9): name those" in unread({"in.txt": MIXED.replace("odom2", "pose")})
-
-
-def test_of_two_columns_of_one_name_a_number_tells_which(read):
     text = "time,v,omega,time\n" + "".join(f"{10 * k},0.5,0,{k}\n" for k in range(9))
     seen = "t,range,bearing\n" + "".join(f"{k},{9 - k},0.1\n" for k in range(9))
     sigma = ("--observations", "seen.csv", "--odometry-sigma", "0.05,2deg", "--observation-sigma", "0.1,1deg")
