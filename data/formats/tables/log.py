@@ -442,7 +442,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     free = wanted.prior is None and pose is None and known is not None and "label" in labels
     onto = _onto_map(known, sensors, observed, labels["label"], increments) if free and known is not None else None
     inputs = Inputs(
-        prior=_prior(wanted, pose, known, increments, fixes, onto), time=time,
+        prior=_prior(wanted, pose, known, increments, fixes, onto, odometry), time=time,
         increments=replace(increments, covariance=covariance), observations=observed, sensor=sensors[0],
         sensors=sensors if len(sensors) > 1 else (), map=known, time_is_index=not odometry.stamped,
         covariance_floor=FLOOR, floored=floored, fixes=fixes, closures=together(measured), scans=scans,
@@ -773,9 +773,20 @@ def _mirrored(moved: Increments, frame: IntArray, place: Array) -> bool:
 MIRRORED = 9.0  # Ratio of squares by which a path turned over fits better
 
 
+def _as_written(own: Array, fixes: Fixes, moved: Increments) -> Start | None:
+    """The first pose of an odometry whose coordinates may be those of the fixes, as these lie along it; else None."""
+    frame, place, sigma = fixes.placed
+    off = se2.dead_reckoned(own, moved.mean)[frame, :2] - place
+    if not len(place) or float(np.sqrt((off**2).sum(axis=1).mean())) > SURE * sigma:
+        return None
+    reach = max(float(np.hypot(*(place - place[0]).T).max()), sigma)
+    turn = min(max(SURE * sigma / reach, LOOSE), 0.25 * math.pi)
+    return Start(own, np.array([sigma, sigma, turn]), "odometry as it is written to the fixes")
+
+
 def _prior(
     wanted: Wanted, pose: Array | None, known: LandmarkMap | None, moved: Increments, fixes: Fixes | None,
-    onto: Start | None,
+    onto: Start | None, odometry: Odometry,
 ) -> Prior:  # fmt: skip
     """Belief about the first pose; `onto`: that which takes observations onto the map."""
     if onto is not None:
@@ -786,6 +797,8 @@ def _prior(
     start = onto_fixes(fixes, moved.mean, moved.covariance) if free and fixes is not None else None
     hidden = fixes is not None and (start is None or bool((fixes.kind != FixKind.POSITION).any()))  # of other questions
     turned = hidden and fixes is not None and _mirrored(moved, *fixes.placed[:2])
+    if free and start is None and fixes is not None and wanted.kind == "poses" and not wanted.blind:
+        start = _as_written(odometry.motion[0], fixes, moved)
     start = None if turned else start
     if start is not None and fixes is not None and _agree(fixes, moved, start.pose):
         fits = way_share(moved, *fixes.placed) is None

@@ -129,6 +129,10 @@ def test_fixes_tell_the_start_and_files_side_by_side_are_one_table(convert):
     unsure, _ = convert(*table, "--fix-sigma", "5cm,5cm", "--odometry-sigma", "5cm,20deg")
     assert log.recorded.prior.covariance[2, 2] < 0.04 < unsure.recorded.prior.covariance[2, 2]  # as odometry drifts
     assert (log.origins["prior"], "inferred: --prior=" in said) == (Origin.INFERRED, True)
+    for places, status in ((POSE[::10, :2], 0), (-5.0 * POSE[::10, :2], 2)):
+        files = {"o.csv": text("t,x,y,theta", T, POSE), "gps.csv": text("t,x,y", T[::10], places)}
+        made = convert(files, "table", "o.csv", "out", "--fixes", "gps.csv", "--fix-sigma", "4,4", status=status)
+        assert "unknown start" in made if status else "takes odometry as it is written to the fixes" in made[1]
 
 
 def test_a_row_of_zeros_an_odometry_to_the_other_side_and_fixes_of_a_gps_receiver(convert):
