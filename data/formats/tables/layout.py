@@ -15,7 +15,7 @@ from data.formats.text import TextTable
 from data.se2 import Array
 
 WORDS = {
-    "odometry": "odo|control|input|cmd|command|^u_", "truth": "tru|real|gt", "map": "map|land|lm|beacon|^m_",
+    "odometry": "odo|control|input|cmd|command|^u_", "truth": "tru|real|gt", "map": "map|land|lm|beacon|anchor|^m_",
 }  # fmt: skip
 """Parts of names of matrices that tell a role, where a file has several."""
 SEEN = "obs|meas|detect|range|bear|dist|noise|sigma|std|cov"  # of no role's
@@ -31,7 +31,7 @@ def by_layout(file: TextTable, role: str, *, alone: bool = True) -> tuple[TextTa
         return replace(file, names=("id", "x", "y", *file.names[3:])), told, file.names[:3]
     parts = [p for p in _parts(file) if alone or p.line[0] == file.line[0]]
     if role == "map" and file.named:  # a row for x, one for y
-        turned = (tuple(zip(*p.rows, strict=True)) if len(p.rows) < 4 < len(p.names) else p.rows for p in parts)
+        turned = (tuple(zip(*p.rows, strict=True)) if len(p.rows) < 4 <= len(p.names) else p.rows for p in parts)
         parts = [replace(p, rows=rows) for p, rows in zip(parts, turned, strict=True)]
     titles = [p.names[0].lower() for p in parts]
     tells = [{of for of, words in WORDS.items() if re.search(words, n) and not re.search(SEEN, n)} for n in titles]
@@ -81,11 +81,11 @@ def _names(rows: Sequence[tuple[str, ...]], role: str, title: str) -> tuple[str,
     if not np.isfinite(values).all():
         return ()
     if role == "map":
-        ids = values[:, 0]
-        whole = values.shape[1] == 3 and (ids == np.abs(np.round(ids))).all()
-        if values.shape[1] == 2:
-            return "x", "y"
-        return ("id", "x", "y") if whole and len(np.unique(ids)) == len(ids) else ()
+        ids = [len(np.unique(v)) == len(v) and bool((v == np.abs(np.round(v))).all()) for v in values.T]
+        close = np.ptp(values, axis=0) < 2 * len(values)  # others in whole numbers are places in mm
+        if values.shape[1] == 3 and ids[0] and (close[0] or (values % 1.0).any()):
+            return "id", "x", "y"
+        return {2: ("x", "y"), 3: ("x", "y", "id" if ids[-1] and close[-1] else "z")}.get(values.shape[1], ())
     if role == "fixes":
         return ("t", "x", "y") if values.shape[1] == 3 and (np.diff(values[:, 0]) > 0.0).all() else ()
     last = np.append(np.diff(values[:, 0]) != 0.0, True)  # of equal stamps
@@ -135,6 +135,42 @@ def seen_by_layout(
             told = f"its columns are {', '.join([first, *names])}{f' ({kind[1]} in {unit})' * bool(unit)}"
             return replace(part, names=(first, *names), named=True), told, {kind[1]: unit} if unit else {}, part.names
     return None
+
+
+def ranges_in_columns(file: TextTable, places: Array, first: str) -> tuple[TextTable, str, str] | None:
+    """The table with names, a name with a star, and what tells it, of the only columns that hold ranges to places
+    (n, 2): of numbered names, or at equal distances without names; then the `first` may be stated.
+    """
+    i, j = np.triu_indices(n := len(places), 1)
+    numbered, width = dict[str, list[int]](), len(file.names)
+    for column, name in enumerate(file.names if file.named else ()):
+        if (matched := re.fullmatch(r"(.*?\D)\d+(\D*)", name)) is not None:
+            numbered.setdefault(f"{matched[1]}*{matched[2]}", []).append(column)
+    for k, step in product(range(0 if file.named or n < 3 or width > MOST else width), range(1, width)):
+        if k + step * (n - 1) < width and first in ("", file.names[k]):
+            numbered[f"{k}:{step}"] = list(range(k, k + step * n, step))
+    rows = file.rows[:: 1 + len(file) // ENOUGH]
+    values = np.array([[float(f) if is_number(f) else 0.0 for f in row] for row in rows])
+    apart, found = np.hypot(*(places[i] - places[j]).T), []
+    for star, columns in numbered.items():
+        far = np.where(values[:, columns] > 0.0, values[:, columns], np.nan)
+        if len(columns) == n > 1 and np.isfinite(far).any(axis=0).all():
+            a, b = far[:, i], far[:, j]
+            fits = ((a + b > NEARLY * apart) & (np.abs(a - b) < apart / NEARLY))[np.isfinite(a + b)]
+            found += [star] * bool(2 * len(fits) > len(far) and fits.mean() > MOSTLY)
+    if len(found) != 1:
+        return None
+    which = ", ".join(file.names[c] for c in numbered[found[0]])
+    told = f", of columns {which}: triangles with landmarks of the map"
+    if file.named:
+        return file, found[0], told
+    label = {column: f"range_{k}" for k, column in enumerate(numbered[found[0]], start=1)}
+    names = (label.get(k, name if k else "t") for k, name in enumerate(file.names))
+    return replace(file, names=tuple(names), named=True), "range_*", told
+
+
+MOST, ENOUGH = 100, 1000  # Most columns without names, and about as many rows, that are looked at
+NEARLY, MOSTLY = 0.9, 0.97  # Share of a side that noise leaves; of pairs of ranges that make triangles with landmarks
 
 
 def named_alike(seen: TextTable, known: TextTable) -> tuple[str, str] | None:

@@ -24,7 +24,7 @@ from data.formats.recordings.laser import SPEED, TravelNoise
 from data.formats.results.reading import RATES, words_of
 from data.formats.tables import files as table_files, motion
 from data.formats.tables.files import POSE, ROLES, SCANS, SECOND, STAMPED, STARRED, Columns, Given, Units, described
-from data.formats.tables.layout import by_layout, landmarks_in_rows, named_alike, seen_by_layout
+from data.formats.tables.layout import by_layout, landmarks_in_rows, named_alike, ranges_in_columns, seen_by_layout
 from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of, path_of
 from data.formats.tables.scans import BEAMS, alone_in, folded_up, wide_in
 from data.formats.text import TextTable, read_table
@@ -35,9 +35,10 @@ from data.se2 import Array
 from data.sensors import Bearing, Range, RangeBearing, RelativePoint, Sensor
 from data.toml_table import load_toml
 
-SENSOR, OBSERVATIONS = "sensor", "observations"
+SENSOR, OBSERVATIONS, XY = "sensor", "observations", ("x", "y")
 LOOKS = {"descriptor": "descriptor-sigma", "class": "class-error"}
 """Columns of appearance, and the flag that states the noise of each; without it the column is not read."""
+NONE = "none"  # Kind of an odometry that is not there, beside columns that look like one
 MEASURES = {"fixes", "closures", SCANS, SECOND}  # Parts beside which a log needs no observations
 OF_SENSORS = ("observation-sigma", "sensor-pose", "max-range", "view", "sees", *LOOKS.values())  # Of each sensor
 NUMBERS = {
@@ -335,12 +336,12 @@ def settle(given: Given) -> Wanted:
         columns.take_series(table, role)
     _below_odometry(parts)
     unnamed = _by_layout(parts)
+    for role in (r for r in parts.observing if r in parts.texts):
+        _take_stars(parts, role)
     _hold_heading(parts)
     blind, given = _blind(parts, given)
     kind = _kind(given, parts.texts, columns, "odometry", tuple(KINDS))
     _name_observations(parts, given, kind, unnamed)
-    for role in (r for r in parts.observing if r in parts.texts):
-        _take_stars(parts, role)
     given, texts = _rates(parts, given) if kind == "ticks" else given, parts.texts
     for flag in ("hold", "integrate"):
         if flag in given and kind not in motion.STAMPED and (flag, given.get("ticks")) != ("hold", "rate"):
@@ -550,6 +551,7 @@ def _name_observations(p: _Parts, given: Given, kind: str, unnamed: Collection[s
             p.columns.given = {key: name for key, name in p.columns.given.items() if key != f"{role}.frame"}
             p.columns.units.given.update({f"{role}.{q}": unit for q, unit in of.items()})
             p.infer(f"{told}, as which alone landmarks stand still", role)
+            _take_stars(p, role)
         free = "map" in p.texts and not p.find(role, table_files.IDS)
         if free and (same := named_alike(p.texts[role], p.texts["map"])) is not None:
             p.columns.given = {**p.columns.given, f"{role}.label": same[0], "map.id": same[1]}
@@ -565,8 +567,15 @@ def _take_stars(p: _Parts, role: str) -> None:
     if deep:
         told = f"in {len(file)} rows; the odometry has {len(p.texts['odometry'])}"
         p.infer(f"--columns {','.join(f'{q}={n}' for q, n in deep.items())}, {told}")
-    if not stars and not any(stated[q] for q in STARRED) and (stars := table_files.stars(file)):
-        p.infer(f"--columns {','.join(f'{q}={n}' for q, n in stars.items())}")
+    first = stated["range"] if stated["range"].isdecimal() and not file.named else ""
+    if not stars and "".join(stated[q] for q in STARRED) == first:
+        stars, why = table_files.stars(file), ""
+        if not stars and "map" in p.texts and (first or not p.find(role, STARRED[:2])):
+            places = columns.quiet.table(p.texts["map"], "map", XY)[0].stack(XY) / columns.units.factor(role, "range")
+            if (found := ranges_in_columns(file, places, first)) is not None:
+                p.texts.update({r: found[0] for r, table in p.texts.items() if table is file})
+                file, stars, why = found[0], {"range": found[1]}, found[2]
+        p.columns.notes += [f"inferred: --columns {','.join(f'{q}={n}' for q, n in stars.items())}{why}"] * bool(stars)
     if not stars:
         return
     seen = (j for star in stars.values() for j in table_files.starred(file.names, star).values())
@@ -580,7 +589,7 @@ def _take_stars(p: _Parts, role: str) -> None:
     if not {"label", "true_id"} & {*wide.names}:
         told = "filled from the left, so they are no labels (--columns label=NAME* names some)"
         p.infer(f"columns {', '.join(stars.values())} are {told}")
-    taken = {*stars.values(), *(stated[q] for q in deep)}
+    taken = {*stars.values(), *(stated[q] for q in deep), *[first] * bool(first)}
     columns.given = {k: n for k, n in columns.given.items() if n not in taken}
 
 
