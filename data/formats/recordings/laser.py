@@ -61,12 +61,16 @@ SPEED, TURN_RATE = 0.3, 0.7  # m/s, rad/s, sigmas of an unknown motion's changes
 BURST = 0.1  # Share of the mean time between frames, and of shorter ones, from which on stamps come in bursts
 
 
+def unknown_motion(time: Array, speed: float = SPEED) -> Increments:
+    """No motion between frames at `time` (N,), with the standard deviation of a robot's speed [m/s]."""
+    covariance = np.zeros((len(time), 3, 3))
+    covariance[1:] = np.diag([speed**2, speed**2, TURN_RATE**2]) * time_steps(time)[1:, None, None] ** 2
+    return Increments(np.zeros((len(time), 3)), covariance)
+
+
 def without_odometry(inputs: Inputs, speed: float = SPEED) -> Inputs:
-    """The same log with unknown motion: zero, with the standard deviation of a robot's speed [m/s]."""
-    count = len(inputs)
-    covariance = np.zeros((count, 3, 3))
-    covariance[1:] = np.diag([speed**2, speed**2, TURN_RATE**2]) * time_steps(inputs.time)[1:, None, None] ** 2
-    return replace(inputs, increments=Increments(np.zeros((count, 3)), covariance), floored=0)
+    """The same log with unknown motion, within a robot's speed [m/s]."""
+    return replace(inputs, increments=unknown_motion(inputs.time, speed), floored=0)
 
 
 def time_steps(time: Array) -> Array:

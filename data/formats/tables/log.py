@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from data import se2
 from data.columns import appearance
@@ -19,7 +21,7 @@ from data.digest import file_sha256
 from data.errors import DataError, UsageError, unknown
 from data.formats.messages import parts_of
 from data.formats.open_log import Recording, Samples
-from data.formats.recordings.laser import FLOOR, without_odometry
+from data.formats.recordings.laser import FLOOR, unknown_motion
 from data.formats.recordings.ros import file_and_topic
 from data.formats.results.path import ABSENT, COARSE, in_order, unturned
 from data.formats.second_odometry import together
@@ -408,6 +410,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
         taken = [name for closures in measured for name in closures.sources]
         measured.append(second_closures(texts[SECOND], second, wanted.second, time, taken, notes))
     increments, gaps = odometry.increments(time, wanted.noise, wanted.model)
+    increments, gaps = (unknown_motion(time, wanted.blind), 0) if wanted.blind else (increments, gaps)
     fixes = None if fixes is None else _counter_clockwise(_fresh(fixes, increments, notes), increments, wanted)
     covariance, floored = floor_covariances(increments.covariance, FLOOR)
     if not odometry.velocities:
@@ -447,7 +450,6 @@ def read_log(name: str, wanted: Wanted) -> Recording:
         sensors=sensors if len(sensors) > 1 else (), map=known, time_is_index=not odometry.stamped,
         covariance_floor=FLOOR, floored=floored, fixes=fixes, closures=together(measured), scans=scans,
     )  # fmt: skip
-    inputs = without_odometry(inputs, wanted.blind) if wanted.blind else inputs
     several = [of.sensor.label for of in wanted.sensors if of.sensor.label]
     files = {role: path.name for role, path in wanted.files.items() if role not in several}
     each = {role: [path] if path.is_dir() else parts_of(path) for role, path in wanted.files.items()}
@@ -731,25 +733,24 @@ MOVED = 1e-3  # m between two fixes from which equal ones are held
 CONCENTRATED, ODD = 0.9, 0.5  # Length of the mean unit vector of angles that agree, at least, and of others, at most
 
 
-NEAR, SURE, FITTED = 2.0, 3.0, 10.0
-"""m, way from the start within which observations tell it; largest deviation of these, in sigma; m, of true places."""
+NEAR, SURE, FITTED, SEVERAL = 2.0, 3.0, 10.0, 500
+"""m, way from the start within which observations tell it; largest deviation of these, in sigma; m, of true places;
+most ranges that tell it."""
 
 
 def _onto_map(
     known: LandmarkMap, sensors: Sequence[Sensor], seen: Observations, label: IntArray, moved: Increments
 ) -> Start | None:
     """The first pose, along whose increments the first labelled observations (M,) fit the map; None: they do not."""
-    path = se2.dead_reckoned(np.zeros(3), moved.mean)
+    path, right = se2.dead_reckoned(np.zeros(3), moved.mean), known.positions(label)
     which = np.zeros(len(label), np.int64) if seen.sensor is None else seen.sensor
     locates = np.array([sensor.locates for sensor in sensors])[which]
     early = np.hypot(*np.diff(path[:, :2], axis=0, prepend=0.0).T).cumsum()[seen.frame] <= NEAR
-    rows = np.flatnonzero(early & locates & np.isin(label, known.id))
+    rows = np.flatnonzero(early & locates & np.isfinite(right[:, 0]))
     if len(np.unique(label[rows])) < 2:
-        return None
+        return _onto_ranges(sensors[0], seen, right, moved) if len(sensors) == 1 else None
     each = [sensors[which[k]].body_points(seen.z[k : k + 1], seen.R[k : k + 1]) for k in rows.tolist()]
-    place = se2.transform_points(path[seen.frame[rows]], np.concatenate([point for point, _ in each]))
-    by = np.argsort(known.id)
-    right = known.xy[by[np.searchsorted(known.id[by], label[rows])]]
+    place, right = se2.transform_points(path[seen.frame[rows]], np.concatenate([p for p, _ in each])), right[rows]
     pose = se2.rigid_fit(place, right)
     off = se2.transform_points(np.tile(pose, (len(rows), 1)), place) - right
     sigma = math.sqrt(0.5 * float(np.mean([np.trace(P[0]) for _, P in each])))
@@ -758,6 +759,34 @@ def _onto_map(
     if math.sqrt(0.5 * float((off**2).sum(axis=1).mean())) > loose or spread < loose:
         return None
     return Start(pose, np.array([loose, loose, loose / spread]), "observations to the map")
+
+
+def _onto_ranges(sensor: Sensor, seen: Observations, place: Array, moved: Increments) -> Start | None:
+    """The first pose, along whose increments the first ranges to landmarks at `place` (M, 2) fit, if only one does."""
+    path, P = se2.dead_reckoned(np.zeros(3), moved.mean), moved.covariance
+    step = 0.5 * (P[:, 0, 0] + P[:, 1, 1])
+    drift = step.cumsum() if path.any() else np.sqrt(step).cumsum() ** 2  # an unknown motion goes on as it is
+    drift += P[:, 2, 2].cumsum() * (path[:, :2] ** 2).sum(axis=1)
+    near = drift[seen.frame] <= SURE**2 * seen.R[:, 0, 0]
+    rows = np.flatnonzero(near & np.isfinite(place[:, 0]))[:SEVERAL]
+    place, way, sigma = place[rows], path[seen.frame[rows]], np.sqrt(seen.R[:, 0, 0] + drift[seen.frame])[rows]
+    if sensor.measures != (0,) or len(np.unique(place, axis=0)) < 3:
+        return None
+
+    def off(pose: Array) -> Array:
+        return np.asarray((sensor.predict(se2.compose(pose, way), place) - seen.z[rows])[:, 0] / sigma)
+
+    corners = np.stack([place.min(axis=0), place.max(axis=0)]).T
+    starts = product(*corners, np.arange(8) * 0.25 * np.pi)
+    fits = sorted((least_squares(off, start, loss="soft_l1") for start in starts), key=lambda fit: float(fit.cost))
+    pose, J, larger = se2.compose(np.zeros(3), fits[0].x), np.asarray(fits[0].jac), 2.0 * fits[0].cost / len(rows)
+    reach = np.append(np.ptp(corners, axis=1).max().repeat(2), np.pi)
+    loose = SURE * np.sqrt(max(1.0, larger) * np.linalg.inv(J.T @ J + np.diag(1.0 / reach**2)).diagonal())
+    equal = [se2.compose(se2.inverse(pose), f.x) for f in fits if f.cost < fits[0].cost + max(1.0, larger) * SURE**2]
+    most = [*reach[:2], SURE * LOOSE if path.any() else np.inf]
+    if larger > SURE**2 or (loose > most).any() or (np.abs(equal) > 2.0 * loose).any():
+        return None
+    return Start(pose, np.minimum(loose, [np.inf, np.inf, 0.25 * np.pi]), "ranges to the map")
 
 
 def _mirrored(moved: Increments, frame: IntArray, place: Array) -> bool:
@@ -822,10 +851,12 @@ def _prior(
         if pose is None:
             raise UsageError("--prior truth: --truth FILE is needed")
         ahead = _ahead(pose, moved.mean) if np.isfinite(pose[0, :2]).all() and np.isnan(pose[0, 2]) else None
+        ahead = (0.0, 0.25 * math.pi) if wanted.blind and np.isnan(pose[0, 2]) else ahead  # of an unknown motion any
         if ahead is not None:
             told = "{:.3g} deg within {:.3g} deg".format(*np.degrees(ahead))
             there = np.flatnonzero(np.isfinite(pose[:, 0]))
-            told += ", which takes odometry to truth" * (way_share(moved, there, pose[there, :2], 1.0) is None)
+            fits = not wanted.blind and way_share(moved, there, pose[there, :2], 1.0) is None
+            told += ", which takes odometry to truth" * fits
             wanted.columns.notes.append(f"the truth has no heading; that of the prior is {told}")
             sigma = np.maximum(wanted.prior_sigma, [0.0, 0.0, ahead[1]])
             return Prior(np.append(pose[0, :2], ahead[0]), np.diag(sigma**2))

@@ -146,7 +146,8 @@ def kind_of(file: TextTable, columns: Columns, role: str, truth: TextTable | Non
             what += f" ({SAID['accelerations']})"
         if sum(re.search(FOUR, name) is not None for name in file.names) >= 4:
             what += f" ({SAID['four-wheels']})"
-        raise DataError.at(file.path, f"{what}; name them as in --columns {own}v=SPEED,{own}omega=TURN_RATE")
+        what += f"; name them as in --columns {own}v=SPEED,{own}omega=TURN_RATE"
+        raise DataError.at(file.path, what + f"; if there is none, {SAID['none']}" * (not own))
     raise DataError.at(file.path, f"holds {' and '.join(named or found)}; choose one with --{role}-kind {found[0]}")
 
 

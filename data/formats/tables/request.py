@@ -38,7 +38,6 @@ from data.toml_table import load_toml
 SENSOR, OBSERVATIONS, XY = "sensor", "observations", ("x", "y")
 LOOKS = {"descriptor": "descriptor-sigma", "class": "class-error"}
 """Columns of appearance, and the flag that states the noise of each; without it the column is not read."""
-NONE = "none"  # Kind of an odometry that is not there, beside columns that look like one
 MEASURES = {"fixes", "closures", SCANS, SECOND}  # Parts beside which a log needs no observations
 OF_SENSORS = ("observation-sigma", "sensor-pose", "max-range", "view", "sees", *LOOKS.values())  # Of each sensor
 NUMBERS = {
@@ -501,7 +500,9 @@ def _moves(p: _Parts, table: TextTable) -> bool:
 def _blind(p: _Parts, given: Given) -> tuple[float, Given]:
     """The speed [m/s] within which a robot without odometry moves, 0 with one, and the flags with what they assume."""
     table, looked = p.texts["odometry"], p.columns.quiet
-    if _moves(p, table) or "odometry-kind" in given:
+    if none := given.get("odometry-kind") == "none":
+        given = {flag: value for flag, value in given.items() if flag != "odometry-kind"}
+    elif _moves(p, table) or "odometry-kind" in given:
         return 0.0, given
     if p.texts.get(SCANS) is table:
         p.columns.notes.append(f"{p.files[SCANS].name}: no odometry in it: scan matching alone tells the motion")
@@ -509,8 +510,14 @@ def _blind(p: _Parts, given: Given) -> tuple[float, Given]:
         if (key := f"{SCANS}.t") in p.columns.given:
             p.columns.given = {**p.columns.given, "odometry.t": p.columns.given[key]}
         return SPEED, given
-    wants, timed = ("t", "x", "y"), looked.find(table, "odometry", "t") is not None
+    wants, timed = ("t", *XY), looked.find(table, "odometry", "t") is not None
+    if "fixes" not in p.texts and timed and (speed := _pace(p, none)):
+        p.infer(f"no odometry: the motion is unknown, within {speed:.3g} m/s, as fast as nine tenths of ranges change")
+        p.hold(KINDS["poses"])
+        return speed, given
     if "fixes" not in p.texts or not timed or not looked.has(p.texts["fixes"], "fixes", wants):
+        if none:
+            raise UsageError(motion.SAID["none"])
         return 0.0, given
     at = looked.table(p.texts["fixes"], "fixes", wants, may_be_blank=wants[1:])[0].stack(wants)
     at = at[np.isfinite(at).all(axis=1)]
@@ -523,7 +530,7 @@ def _blind(p: _Parts, given: Given) -> tuple[float, Given]:
         start = {"prior": f"{at[0, 1]},{at[0, 2]},{math.atan2(far[1], far[0])}", "prior-sigma": "1,1,45deg"}
         given, p.columns.origins["prior"] = {**start, **given}, Origin.INFERRED
         p.infer(f"--prior at the first fix, heading for the farthest of {SOON}; --prior-sigma {given['prior-sigma']}")
-    if looked.find(table, "odometry", "v") is not None:
+    if looked.find(table, "odometry", "v") is not None and not none:
         p.hold(["omega"])
         p.infer("no turn rate: unknown, within --odometry-sigma 5cm,45deg")
         return 0.0, {"odometry-sigma": "5cm,45deg", **given}
@@ -533,6 +540,29 @@ def _blind(p: _Parts, given: Given) -> tuple[float, Given]:
     return speed, given
 
 
+def _pace(p: _Parts, none: bool) -> float:
+    """How fast nine tenths of ranges to landmarks of a map change [m/s]; 0 of none, or in a file with other columns."""
+    looked, wants = p.columns.quiet, ("t", "label", "range")
+    role = next((r for r in p.observing if r in p.texts and looked.has(p.texts[r], r, wants)), "")
+    if not role or "map" not in p.texts or p.find(role, ("bearing",)):
+        return 0.0
+    file = p.texts[role]
+    beside = [of for of in ("truth", "map") if p.files.get(of) == p.files[role]]
+    others = [(of, q) for of in beside for q in KINDS["poses"]]
+    read = {looked.find(file, *of) for of in [*((role, q) for q in wants), *others]}
+    alone = all(k in read or len({row[k] for row in file.rows}) == 1 for k in file.filled)
+    if not none and not (alone and p.texts["odometry"].path == file.path):
+        return 0.0
+    t, label, far = np.array(sorted(looked.table(file, role, wants)[0].stack(wants).tolist())).T
+    speeds = []
+    for of in np.unique(label):
+        at, own = t[label == of], far[label == of]
+        early = at <= at[-1] - LATER
+        speeds.append(np.abs(np.interp(at[early] + LATER, at, own) - own[early]) / LATER)
+    return float(np.quantile(np.concatenate(speeds), FAST)) if any(map(len, speeds)) else 0.0
+
+
+LATER = 1.0  # s, between two ranges that tell how fast they change
 LEAST_FIXES, FAST, SOON = 5, 0.9, 10  # Fixes that tell a speed, its quantile; first fixes that tell the heading
 
 

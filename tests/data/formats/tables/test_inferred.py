@@ -101,6 +101,27 @@ def test_observations_without_names_are_read_as_landmarks_stand_still(convert, o
     assert (log.recorded.observations.frame == at).all()
 
 
+@pytest.mark.parametrize(("names", "flags"), [
+    ("t,v,omega,d1,d2,d3,d4", ()), ("t,d1,d2,d3,d4", ()), ("", ()), ("t,x,y,d1,d2,d3,d4", ("--odometry-kind", "none")),
+])  # fmt: skip
+def test_ranges_in_columns_to_a_map_tell_the_start_also_without_odometry(convert, names, flags):
+    """Ranges of two tags, the columns of each by turns, where no names tell them; places in whole millimetres."""
+    far = np.hypot(*(PLACES - POSE[:, None, :2]).T).T + np.random.default_rng(0).normal(0.0, 0.02, (300, 4))
+    beside = {"v": [V, OMEGA], "x": [*XY], "d": []}[names[2:3] or "d"]
+    each = [*far.T] if names else [c for k in range(4) for c in (0 * T - 80, far[:, k])]
+    files = {"uwb.csv": text(names, T, *beside, *each).lstrip(), "map.csv": text("", 1e3 * PLACES, 0 * PLACES[:, :1])}
+    files["map.csv"] = files["map.csv"].lstrip()
+    words = ("table", "uwb.csv", "out", "--map", "map.csv", "--unit", "map.x=mm,map.y=mm", "--observation-sigma", "5cm")
+    assert "--odometry-kind none" in convert(files, *words, status=2) if flags else True
+    log, said = convert(files, *words, *flags)
+    o, prior = log.recorded.observations, log.recorded.prior
+    assert (o.z[:, 0] == pytest.approx(far.ravel(), abs=1e-6), log.label[:4].tolist()) == (True, [1, 2, 3, 4])
+    assert ("no odometry" in said, ": triangles" in said) == ("v" not in names, True)
+    assert np.abs(prior.mean[:2]).max() < 0.2
+    assert prior.mean[2] == pytest.approx(0.0, abs=np.pi if "v" not in names else 0.05)
+    assert np.sqrt(np.diag(prior.covariance))[:2].max() < 0.3
+
+
 def test_observations_of_a_robot_that_stands_still_are_not_read(convert):
     which = np.arange(300) % 4
     seen = np.column_stack([T, which, 3.0 + which, np.array([0.1, -0.2, 0.3, 0.4])[which]])
