@@ -15,7 +15,8 @@ from data.formats.text import TextTable
 from data.se2 import Array
 
 WORDS = {
-    "odometry": "odo|control|input|cmd|command|^u_", "truth": "tru|real|gt", "map": "map|land|lm|beacon|anchor|^m_",
+    "odometry": "odo|control|input|cmd|command|^u_", "truth": "tru|real|gt|^ref",
+    "map": "map|land|lm|beacon|balis|anchor|^m_",
 }  # fmt: skip
 """Parts of names of matrices that tell a role, where a file has several."""
 SEEN = "obs|meas|detect|range|bear|dist|noise|sigma|std|cov"  # of no role's
@@ -31,7 +32,7 @@ def by_layout(file: TextTable, role: str, *, alone: bool = True) -> tuple[TextTa
         return replace(file, names=("id", "x", "y", *file.names[3:])), told, file.names[:3]
     parts = [p for p in _parts(file) if alone or p.line[0] == file.line[0]]
     if role == "map" and file.named:  # a row for x, one for y
-        turned = (tuple(zip(*p.rows, strict=True)) if len(p.rows) < 4 <= len(p.names) else p.rows for p in parts)
+        turned = (tuple(zip(*p.rows, strict=True)) if 1 < len(p.rows) < min(4, len(p.names)) else p.rows for p in parts)
         parts = [replace(p, rows=rows) for p, rows in zip(parts, turned, strict=True)]
     titles = [p.names[0].lower() for p in parts]
     tells = [{of for of, words in WORDS.items() if re.search(words, n) and not re.search(SEEN, n)} for n in titles]

@@ -649,7 +649,8 @@ def _laid_out(
     if not file.named or len(before) != len(table.names):
         columns.read |= {(file.path, name) for name in before}
         return table, told
-    columns.given = {**columns.given, **{f"{role}.{q}": n for q, n in zip(table.names, before, strict=True)}}
+    known = [(q, n) for q, n in zip(table.names, before, strict=True) if q in table_files.QUANTITIES]
+    columns.given = {**columns.given, **{f"{role}.{q}": n for q, n in known}}
     return file, told
 
 

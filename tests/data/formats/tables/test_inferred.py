@@ -122,6 +122,16 @@ def test_ranges_in_columns_to_a_map_tell_the_start_also_without_odometry(convert
     assert np.sqrt(np.diag(prior.covariance))[:2].max() < 0.3
 
 
+@pytest.mark.parametrize("places", [PLACES[:3].T, np.column_stack([PLACES, 0 * PLACES[:, 0]]).T])
+def test_arrays_of_ranges_and_of_places_a_row_for_each_coordinate(convert, tmp_path, places):
+    far = np.hypot(*(places.T[:, :2] - POSE[:, None, :2]).T).T
+    np.savez(tmp_path / "log.npz", t=T, u=np.column_stack([V, OMEGA]), z=far, balises=places)
+    log, _ = convert({}, "table", "log.npz", "out")
+    assert log.recorded.observations.z[:, 0] == pytest.approx(far.ravel())
+    assert log.recorded.map.xy.T.tolist() == places[:2].tolist()
+    assert log.recorded.prior.mean == pytest.approx(np.zeros(3), abs=0.1)
+
+
 def test_observations_of_a_robot_that_stands_still_are_not_read(convert):
     which = np.arange(300) % 4
     seen = np.column_stack([T, which, 3.0 + which, np.array([0.1, -0.2, 0.3, 0.4])[which]])
