@@ -22,7 +22,7 @@ from data.csv_table import Table, is_number
 from data.dates import DATES, DMY, MDY, is_date, unit_of
 from data.earth import on_plane, placed
 from data.errors import DataError, UsageError, did_you_mean, unknown
-from data.formats.arrays import ELEMENT, is_arrays, solids
+from data.formats.arrays import ELEMENT, WIDE, is_arrays, solids
 from data.formats.messages import kinds_of, read_lines
 from data.formats.results.reading import RATES, role_of, topics_in, words_of
 from data.formats.text import COMMENT, SLOTS, TextTable
@@ -309,6 +309,19 @@ def stepped(file: TextTable) -> TextTable:
     told = f"inferred: {', '.join(file.names[k] for (k,) in found)} are a turn, a way and a turn"
     own = ("" if [k] in found else name for k, name in enumerate(file.names))
     return replace(file, names=(*own, "dx", "dy", "dtheta"), rows=rows, cut="; ".join(filter(None, (file.cut, told))))
+
+
+def upright(file: TextTable) -> TextTable:
+    """A file of few long rows of numbers without names as a table of these columns, unless they may be scans."""
+    wide = not file.named and 1 < len(file) <= WIDE[0] and len(file.names) >= WIDE[1]
+    if not wide or not all(is_number(f or "nan") for row in file.rows for f in row):
+        return file
+    values = np.array([[f or "nan" for f in row] for row in file.rows], float)
+    if not (values < 0.0).any() and not (np.diff(values) > 0.0).all(axis=1).any():
+        return file
+    cut = "; ".join(filter(None, (file.cut, f"inferred: its {len(file)} rows are columns of {len(file.names)} rows")))
+    names, rows = tuple(str(k + 1) for k in range(len(file))), tuple(zip(*file.rows, strict=True))
+    return replace(file, names=names, rows=rows, line=np.repeat(file.line[:1], len(rows)), cut=cut)
 
 
 def quantity_of(key: str) -> str:

@@ -31,7 +31,7 @@ def by_layout(file: TextTable, role: str, *, alone: bool = True) -> tuple[TextTa
         told = "--columns map.id=key,map.x=value_1,map.y=value_2"
         return replace(file, names=("id", "x", "y", *file.names[3:])), told, file.names[:3]
     parts = [p for p in _parts(file) if alone or p.line[0] == file.line[0]]
-    if role == "map" and file.named:  # a row for x, one for y
+    if role == "map":  # a row for x, one for y
         turned = (tuple(zip(*p.rows, strict=True)) if 1 < len(p.rows) < min(4, len(p.names)) else p.rows for p in parts)
         parts = [replace(p, rows=rows) for p, rows in zip(parts, turned, strict=True)]
     titles = [p.names[0].lower() for p in parts]

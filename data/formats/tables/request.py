@@ -404,7 +404,8 @@ def _read(p: _Parts) -> None:
     read: dict[Path, TextTable] = {}
     for role, path in p.files.items():
         count, seen = len(next(iter(read.values()), ())), role in p.observing
-        read |= {path: read_table(path, p.named.values(), count, seen=seen)} if path not in read else {}
+        if path not in read:
+            read[path] = table_files.upright(read_table(path, p.named.values(), count, seen=seen))
     for path in {p.files.get(SCANS, p.files["odometry"])} - {p.files.get(OBSERVATIONS)}:
         moves = SCANS not in p.files and _moves(p, read[path])
         read[path] = folded_up(read[path], p.columns, moves) or read[path]

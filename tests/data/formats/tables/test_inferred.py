@@ -70,8 +70,11 @@ def test_a_robot_that_moves_sideways_or_along_a_heading_that_is_read(converted):
     assert "vy" in converted(text("time,vx,vy,wz", T, v, vy, omega), "--columns", "v=vx,omega=wz")[1], "not used: said"
 
 
-def test_poses_without_names_are_read_as_headings_follow_the_motion(converted):
-    log, said = converted(text("", T, POSE * [1.0, 1.0, np.rad2deg(1.0)]).lstrip())
+@pytest.mark.parametrize("turned", [False, True])
+def test_poses_without_names_are_read_as_headings_follow_the_motion(converted, turned):
+    rows = np.column_stack([T, POSE * [1.0, 1.0, np.rad2deg(1.0)]])
+    log, said = converted(text("", rows.T if turned else rows).lstrip())
+    assert ("its 4 rows are columns of 300 rows" in said) == turned
     assert "inferred: --columns odometry.t=1,odometry.x=2,odometry.y=3,odometry.theta=4" in said
     assert "inferred: --unit odometry.theta=deg" in said
     np.testing.assert_allclose(log.recorded.increments.mean[1:30, 2], np.diff(POSE[::10, 2]), atol=1e-6)
