@@ -36,6 +36,7 @@ def columns_of(header: Header, key: str) -> dict[str, Columns]:
     second = ("z2",) if any(s.sensor.locates for s in header.sensors) else ()
     seen = (*looks.NUMBERS, looks.CLASS) if latest else ()
     known = (KIND, looks.DESCRIPTOR, looks.CLASS) if latest else ()
+    closed, fixed = (poses.SOURCE, poses.INLIER), (poses.SOURCE, *poses.POSE, *COVARIANCE, poses.INLIER)
     motion, other = (*poses.RELATIVE, *COVARIANCE), "t" if key == "frame" else "frame"
     return {
         FRAMES: Columns(("t", *(motion if header.motion_prior is None else ())), (*motion, STAMP)),
@@ -49,8 +50,8 @@ def columns_of(header: Header, key: str) -> dict[str, Columns]:
             ("id", "x", "y"), (*SIGMAS, *TRUE_PLACE, *known),
             (*SIGMAS, *TRUE_PLACE, looks.DESCRIPTOR), (KIND, looks.CLASS),
         ),
-        FIXES: poses.fixes_columns(key),
-        CLOSURES: poses.closures_columns(key),
+        FIXES: Columns((key, poses.KIND), fixed, fixed, (poses.KIND, poses.SOURCE)),
+        CLOSURES: Columns((*poses.ENDS[key], *poses.RELATIVE), (*COVARIANCE, *closed), closed, (poses.SOURCE,)),
     }  # fmt: skip
 
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from data.columns.named import COVARIANCE, UPPER, covariances, names_of, or_blank, require_given, source_rows
-from data.csv_table import Columns, Table
+from data.csv_table import Table
 from data.errors import unknown
 from data.inputs import IntArray
 from data.pose_measurements import MEASURED, Closures, Fixes, FixKind, FixSource
@@ -23,17 +23,6 @@ OF_SIGMA = {1: (2,), 2: (0, 1), 3: (0, 1, 2)}  # Entries of (x, y, theta) that a
 MEASURES: BoolArray = np.array([[entry in MEASURED[kind] for entry in range(3)] for kind in FixKind])
 """Whether a kind (3,) measures x, y, theta (3,)."""
 UNSTATED = -1  # Of an inlier that is blank
-
-
-def fixes_columns(key: str) -> Columns:
-    """Columns of fixes.csv; `key`: frame or t."""
-    numbers = (*POSE, *COVARIANCE, INLIER)
-    return Columns((key, KIND), (SOURCE, *numbers), (SOURCE, *numbers), (KIND, SOURCE))
-
-
-def closures_columns(key: str) -> Columns:
-    """Columns of closures.csv; `key`: frame or t."""
-    return Columns((*ENDS[key], *RELATIVE), (*COVARIANCE, SOURCE, INLIER), (SOURCE, INLIER), (SOURCE,))
 
 
 class Stated(NamedTuple):

@@ -395,16 +395,13 @@ def _order(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         yield notice(Code.PATH_ORDER, file=s.file, nees=as_read, other=best[0], flag=best[1], read_as=s.frame)
 
 
-def _mean_nees(s: Spatial, truth: Array) -> float:
+def _mean_nees(path: Spatial | GivenPath, truth: Array) -> float:
     """Mean pose NEES in the plane; infinite where it has none."""
-    try:
-        path = flattened(s)
-    except DataError:  # as read this way it is no covariance in the plane
-        return math.inf
-    assert path.covariance is not None  # it has one in space
-    values = nees(path.pose, path.covariance, truth, "pose")
-    values = values[np.isfinite(values)]
-    return float(values.mean()) if len(values) else math.inf
+    values = np.array([math.nan])
+    with suppress(DataError):  # as read this way it is no covariance in the plane
+        path = flattened(path) if isinstance(path, Spatial) else path
+        values = values if path.covariance is None else nees(path.pose, path.covariance, truth, "pose")
+    return float(np.nanmean(values)) if np.isfinite(values).any() else math.inf
 
 
 TILTED = SAME_VERTICAL  # smallest median tilt between two worlds that raises a question
@@ -505,11 +502,7 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
     elif far > LEAST[Kind.PLACED] and placed < LATE * fitted:
         yield _reading(pair, Kind.PLACED, "truth", fitted / size, placed / size, far)
         return
-    covariance = pair.estimate.covariance
-    mean = math.nan
-    if covariance is not None:
-        values = nees(pair.estimate.pose, covariance, pair.at, "pose")
-        mean = float(np.nanmean(values)) if np.isfinite(values).any() else math.nan
+    mean = _mean_nees(pair.estimate, pair.at)
     if not pair.aligned and direct > max(OTHER_FRAME * fitted, FITS * size) and not mean < POOR:
         turned = math.degrees(float(rigid_fit(ours[:, :2], theirs[:, :2])[2]))
         said = mean if math.isfinite(mean) else None

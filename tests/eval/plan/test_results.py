@@ -122,16 +122,15 @@ def test_latitudes_of_a_result_are_about_the_datum_of_the_log_and_else_refused(t
         asked.settled(log)
 
 
-def test_decisions_about_another_log_are_refused(first, tmp_path, refused):
-    runs = first / "runs" / NAME / "slam-ekf-jcbb-hindsight"
-    command = ["--log", "arena:2", "--task", "slam", "--estimator", "ekf", "--result", f"e={runs}"]
-    assert "decisions.csv: " in refused(main, [*command, "--out", str(tmp_path / "out")])
-
-
-def test_a_log_without_stamps_interpolates_nothing(tmp_path, refused):
+def test_decisions_about_another_log_and_stamps_beside_a_log_without_some_are_refused(first, tmp_path, refused):
     (tmp_path / "a.csv").write_text("t,x,y,theta\n0.5,0,0,0\n")
-    command = ["--log", "corridor:0", "--task", "slam", "--estimator", "ekf", "--result", f"a={tmp_path / 'a.csv'}"]
-    assert "t is the index of a frame" in refused(main, [*command, "--out", str(tmp_path / "out")])
+    runs = first / "runs" / NAME / "slam-ekf-jcbb-hindsight"
+    for log, result, said in (
+        ("arena:2", runs, "decisions.csv: "),
+        ("corridor:0", tmp_path / "a.csv", "t is the index"),
+    ):
+        command = ["--log", log, "--task", "slam", "--estimator", "ekf", "--result", f"a={result}"]
+        assert said in refused(main, [*command, "--out", str(tmp_path / "out")])
 
 
 def test_a_log_without_truth_says_so_and_has_the_distance_from_batch(tmp_path):

@@ -136,19 +136,15 @@ def test_what_is_wrong_is_named_with_its_line(fault, tmp_path):
 
 
 def test_what_a_file_does_not_say_must_be_said_and_nothing_else(tmp_path):
-    name, _ = kitti(tmp_path)
-    with pytest.raises(UsageError, match="--times FILE names them"):
-        read_path(str(tmp_path / name), Manner(stamps="ns"))
-    name, _ = tum(tmp_path)
-    for manner, wanted in (
-        (Manner(times=tmp_path / "times.txt"), "a.txt has stamps of its own"),
-        (Manner(frame="local"), "has no covariance"),
+    for make, manner, wanted in (
+        (kitti, Manner(stamps="ns"), "--times FILE names them"),
+        (tum, Manner(times=tmp_path / "times.txt"), "a.txt has stamps of its own"),
+        (tum, Manner(frame="local"), "has no covariance"),
+        (ours, Manner(cov=tmp_path / "a.txt"), r"--cov .*a TUM file"),
     ):
+        name, _ = make(tmp_path)
         with pytest.raises(UsageError, match=wanted):
             read_path(str(tmp_path / name), manner)
-    name, _ = ours(tmp_path)
-    with pytest.raises(UsageError, match=r"--cov .*a TUM file"):
-        read_path(str(tmp_path / name), Manner(cov=tmp_path / "a.txt"))
 
 
 CONVENTIONS = {LOCAL: TangentConvention.RIGHT, LEFT: TangentConvention.LEFT}
@@ -188,7 +184,7 @@ def wide(path, made, columns=slice(None)):
 
 
 def test_wide_a_sidecar_and_a_header_say_the_same_and_a_sidecar_declares_its_own_frame(tmp_path):
-    made = steps()
+    made, last = steps(), TangentOrder.ROT_TRANS
     wanted = read_path(square(tmp_path / "square", made, header()))
     plain = wide(tmp_path / "plain.tum", made, slice(0, 8))
     side = Path(wide(tmp_path / "side.cov", made, [0, *range(8, 29)]))
@@ -196,9 +192,7 @@ def test_wide_a_sidecar_and_a_header_say_the_same_and_a_sidecar_declares_its_own
     for path in (
         read_path(wide(tmp_path / "wide.tum", made)),
         read_path(plain, Manner(cov=side)),
-        read_path(
-            square(tmp_path / "other", steps(order=TangentOrder.ROT_TRANS), header(order=TangentOrder.ROT_TRANS))
-        ),
+        read_path(square(tmp_path / "other", steps(order=last), header(order=last))),
     ):
         assert path.pose == pytest.approx(wanted.pose, abs=1e-9)
         assert path.covariance == pytest.approx(wanted.covariance, rel=1e-12, abs=1e-15)

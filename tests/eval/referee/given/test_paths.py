@@ -181,8 +181,7 @@ def test_pairs_are_those_of_a_search_through_all_poses():
         assert list(zip(*(p.tolist() for p in pairs_by_way(xy, distance)))) == wanted
 
 
-DRIVEN = 60.0
-"""s"""
+DRIVEN = 60.0  # s
 
 
 def path(time, laps=False):
@@ -222,24 +221,16 @@ def test_noisy_paths_are_within_their_standard_errors():
     assert 0.4 < np.sqrt(np.mean((errors / stated) ** 2)) < 2.5
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.02])
-def test_steady_motion_is_not_guessed_at(noise):
-    with pytest.raises(DataError, match="state it, as in --time-offset"):
-        time_offset("mine", *pair(0.5, noise=noise, laps=True))
-
-
-def test_too_short_a_path_is_refused():
-    time, pose, true, truth = pair(0.0)
-    with pytest.raises(DataError, match="fewer than three poses"):
-        time_offset("mine", time[:2], pose[:2], true, truth)
-    with pytest.raises(DataError, match="too short for rates"):
-        time_offset("mine", time[:4], pose[:4], true, truth)
-
-
-def test_clocks_of_different_rates_are_named():
-    time, pose, true, truth = pair(0.0, noise=0.002)
-    with pytest.raises(DataError, match=r"different rates, by -?3"):
-        time_offset("mine", 1.035 * time + 7.0, pose, true, truth)
+@pytest.mark.parametrize(("drawn", "rows", "rate", "said"), [
+    ({"laps": True}, None, 1.0, "state it, as in --time-offset"),
+    ({"laps": True, "noise": 0.02}, None, 1.0, "state it, as in --time-offset"),
+    ({}, 2, 1.0, "fewer than three poses"), ({}, 4, 1.0, "too short for rates"),
+    ({"noise": 0.002}, None, 1.035, r"different rates, by -?3"),
+])  # fmt: skip
+def test_steady_motion_short_paths_and_clocks_of_different_rates_are_not_guessed_at(drawn, rows, rate, said):
+    time, pose, true, truth = pair(0.5, **drawn)
+    with pytest.raises(DataError, match=said):
+        time_offset("mine", rate * time[:rows] + 7.0, pose[:rows], true, truth)
 
 
 @pytest.fixture
@@ -263,14 +254,9 @@ def test_the_flag_moves_the_stamps_and_says_so(files, capsys):
     assert "were added to its stamps, where its speeds and turn rates fit" in said["auto"][1]
 
 
-@pytest.mark.parametrize(("flag", "said"), [
-    ("soon", "a number of seconds or auto is needed"), ("truth=1", "move the result by the negative"),
-])  # fmt: skip
-def test_other_values_are_refused(files, flag, said, refused):
-    assert said in refused(score, [*files, "--time-offset", flag])
-
-
-def test_without_an_overlap_the_flag_is_named_and_works(files, tmp_path, capsys, refused):
+def test_without_an_overlap_the_flag_is_named_and_works_and_other_values_are_refused(files, tmp_path, capsys, refused):
+    for flag, said in (("soon", "a number of seconds or auto is needed"), ("truth=1", "result by the negative")):
+        assert said in refused(score, [*files, "--time-offset", flag])
     head, *rows = (tmp_path / "mine.csv").read_text().splitlines()
     moved = [f"{float(t) + 1e5!r},{rest}" for t, rest in (row.split(",", 1) for row in rows)]
     (tmp_path / "mine.csv").write_text("\n".join([head, *moved]))
