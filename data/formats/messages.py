@@ -61,23 +61,27 @@ def _tidied(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], str]:
              if not re.fullmatch(r"sep=.\s*", line)] + lines[-1:]  # fmt: skip
     top = [pair for pair in lines[:LEADING] if pair[1].strip() and pair[1].lstrip()[0] not in "#%"]
     mark = next((m for m in ";\t|," if top and m in top[-1][1]), None)
-    rows = [[f.strip(' "') for f in line.strip().rstrip(mark).split(mark)] for _, line in top]
-    first = next((k for k, row in enumerate(rows) if 2 * sum(map(is_number, row)) >= len(row)), 0)
+    rows = [line.split() if all(map(is_number, line.split())) else
+            [f.strip(' "') for f in line.strip().rstrip(mark).split(mark)] for _, line in top]  # fmt: skip
+    ahead = [len(row) > 2 or len(row) == len(after) for row, after in zip(rows, [*rows[1:], *rows[-1:]], strict=True)]
+    first = next((k for k, row in enumerate(rows) if ahead[k] and 2 * sum(map(is_number, row)) >= len(row)), 0)
     if first > 1 and len(rows[first - 2]) == len(rows[first]) == len(units := rows[first - 1]) and _are_units(units):
         named = [f"{name} [{u.strip('[]()')}]" if u else name for name, u in zip(rows[first - 2], units, strict=True)]
         whole = [(top[first - 2][0], (mark or " ").join(named)) if pair == top[first - 2] else pair for pair in lines]
         return _tidied([pair for pair in whole if pair != top[first - 1]])
     wide = [len(row) == len(rows[first]) for row in rows]
+    heads = [k for k in range(first) if wide[k]]
     alone = bool(first and re.search(PROSE[mark is None], top[first - 1][1]) and not {*LISTED} & {*rows[first - 1]})
-    alone = alone and not wide[first - 1] and len(wide) > first + 2
+    alone = alone and not heads and len(wide) > first + 2
     alone = alone and (mark is None or len(rows[first - 1]) < len(rows[first]))
-    if first < 1 or any(wide[: first - 1]) or not all(wide[first - 1 + alone : first + 2 + alone]):
+    if first < 1 or len(heads) != (not alone) or not all(wide[first : first + 2 + alone]):
         return lines, ""
+    head, titles = [top[k] for k in heads], [top[k] for k in range(first) if not wide[k]]
     again, above = {line for _, line in top[:first]}, f"above {'rows without' if alone else 'the'} names"
-    said = "; ".join(f"line {i} is a title {above}: {line.strip()[:60]}" for i, line in top[: first - 1 + alone])
-    if alone:
-        return [pair for pair in lines if pair not in top[:first]], said
-    return [pair for pair in lines if pair == top[first - 1] or pair[1] not in again], said
+    said = "; ".join(f"line {i} is a title {above}: {line.strip()[:60]}" for i, line in titles)
+    between = [re.match(r"\D*[A-Za-z]\D*(?=\d)", line) for i, line in titles if not head or i > head[0][0]]
+    starts = tuple(found[0] for found in between if found)  # as of Run:,1
+    return [pair for pair in lines if pair in head or not (pair[1] in again or pair[1].startswith(starts))], said
 
 
 LISTED = ("ranges", "range", "scan", "distances")  # Names that may stand for all beams of a scan

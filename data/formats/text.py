@@ -147,7 +147,8 @@ def _separator(lines: Sequence[str]) -> str:
             mixed &= any(" " in line for line in lines[1:] or lines) or all("\t\t" in line for line in lines)
             return " " if mixed else separator
     held = [s for s in SEPARATORS if 2 * sum(s in line for line in lines) > len(lines)]
-    return held[0] if held else ","
+    numbers = held[:1] == ["\t"] and all(is_number(f) for line in lines for f in line.split())  # tabs in some alone
+    return " " if numbers else held[0] if held else ","
 
 
 def read_text(path: Path) -> Text:

@@ -189,13 +189,15 @@ def test_rows_are_told_apart_by_a_word_binary_ones_by_their_number_and_several_f
     assert (values["rmse_position_m"], values["matched"]) == (pytest.approx(0.1), 59)
 
 
-@pytest.mark.parametrize("form", ["column", "header", "blank", "bare", "places"])
+@pytest.mark.parametrize("form", ["column", "header", "blank", "bare", "places", "preamble"])
 def test_of_several_runs_in_a_file_one_is_named(scored, tmp_path, form):
     first, again = ({"run": 0 * T + k, **WHOLE, "x": MINE[:, 0] + 0.5 * k} for k in (4, 5))
     keys = {"column": ["run", *WHOLE], "header": list(WHOLE), "places": "xy"}.get(form, list(WHOLE))
     texts = [table({key: of[key] for key in keys}, form in ("column", "header")) for of in (first, again)]
     texts[1] = texts[1].partition("\n")[2] if form == "column" else texts[1]
-    between = "\n\n\n" if form in ("blank", "places") else "\n"
+    between = {"blank": "\n\n\n", "places": "\n\n\n", "preamble": "\nRun:,2\n"}.get(form, "\n")
+    if form == "preamble":
+        texts[0] = f"Method:,New (2020)\nPeriod (ms):,50\n\n{','.join(WHOLE)}\n+,+,+\nRun:,1\n{texts[0]}"
     truth = table({key: (WHOLE | {"x": TRUE[:, 0]})[key] for key in keys if key != "run"}, form != "places")
     assert "2 runs begin, in lines" in scored(between.join(texts), truth, wrong=True)
     for name, run in ((1, 4), (2, 5), *[(5, 5)] * (form == "column")):

@@ -233,6 +233,7 @@ FRAMES = {"frames": [{"file": "a.png", "transform_matrix": M} for M in T.tolist(
 TEXTS = {
     "g.json": json.dumps(FIELDS), "h.json": "\n".join(map(json.dumps, FIELDS)), "j.json": json.dumps(FRAMES),
     "i.json": json.dumps({str(k): p for k, p in enumerate(FLAT)}), "m.txt": "\n".join(map(str, PLANE.tolist())),
+    "e.log": "".join(f"{k} {k} {k + 1}\n" + "".join("\t".join(map(str, r)) + "\n" for r in M) for k, M in enumerate(T)),
     "n.log": "\n".join(f"Pose: x={p['x']}, y={p['y']}, yaw={p['yaw']}" for p in FLAT),
 }  # fmt: skip
 OTHERS = {name: lambda p, text=text: p.write_text(text) for name, text in TEXTS.items()} | {
