@@ -132,14 +132,14 @@ def test_units_of_stamps_that_disagree_are_refused_and_a_flag_mends_them(scored)
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
-@pytest.mark.parametrize("start", [0.0, 1_700_000_000.0])
+@pytest.mark.parametrize("start", [0.0, 950_000.0, 1_700_000_000.0])  # eleven days since a start: us since 2000?
 def test_units_of_stamps_are_inferred_and_said(unit, scale, start, scored):
     rows = [(round((start + 0.1 * k) * scale), x, y, 0, 0, 0, 0, 1) for k, (x, y) in enumerate(CURVE)]
     text = "\n".join(" ".join(map(str, row)) for row in rows) + "\n"
     values, asked, said = scored(text, tum(CURVE, step=0.1, start=start))
     assert values["matched"] == len(CURVE)
     assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-6)
-    assert f"stamps in {unit} by their {'size' if start else 'rate'}" in said
+    assert f"stamps in {unit} by their {'size' if start > 1e9 else 'rate'}" in said
     assert not asked
 
 

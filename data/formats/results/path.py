@@ -17,7 +17,7 @@ from data.se2 import Array
 
 DIGITS = {"s": 0, "ms": 3, "us": 6, "ns": 9}
 STATED, SIZE, RATE, ASSUMED, ROWS, DATES = "stated", "size", "rate", "assumed", "rows", "dates"
-EPOCH = (1e8, 4.2e9)  # s since 1970 of years 1973 to 2103
+EPOCH = (1e9, 4.2e9)  # s since 1970 of years 2001 to 2103; less may be ns since a start
 STEPS = (1e-4, 5.0)  # s, intervals between successive poses of a trajectory
 SLOWEST, ABSURD = 600.0, 1e-5  # s, largest interval beside a stamp since 1970, and smallest that a stated unit may give
 
