@@ -259,8 +259,10 @@ def unmatched(path: GivenPath, truth: TruePath) -> str:
     known = truth.time[np.isfinite(truth.pose[:, :2]).all(axis=1)]
     of = f"truth is known from {_span(known)}" if len(known) else "no true pose is known"
     found = f"{path.file}: none of its {len(path)} stamps, {_span(path.time)}, has a truth: {of}"
-    right = "one clock (`--time-offset auto` estimates an offset), and true poses at most --truth-gap apart"
-    return f"{found}; both need {right}"
+    if len(known) > 1 and known[0] <= path.time[-1] and path.time[0] <= known[-1]:
+        gap = float(np.diff(known).max())
+        return f"{found}, with poses up to {gap:.4g} s apart; --truth-gap {math.ceil(gap)} interpolates them"
+    return f"{found}; both need one clock (`--time-offset auto` estimates an offset)"
 
 
 def _span(time: Array) -> str:
