@@ -14,6 +14,7 @@ from data.command import stretch
 from data.errors import DataError
 from data.formats.messages import parts_of
 from data.formats.recordings.ros import file_and_topic, is_bag
+from data.formats.results.lines import EUROC
 from data.formats.results.reading import read_path
 from data.formats.results.space import ignored
 from data.formats.results.tables import Companions
@@ -95,24 +96,21 @@ def _pooled(files: Sequence[str], found: Sequence[Scored]) -> dict[str, object]:
     }
 
 
-W_FIRST = "estimate.t=1,estimate.x=2,estimate.y=3,estimate.z=4,estimate.qw=5,estimate.qx=6,estimate.qy=7,estimate.qz=8"
-
-
 def scored(file: str, truth: str, reading: Scoring) -> Scored:
     """An estimate, read and matched; of a truth that is a log, the run has its frames if they are the same. Where
     quaternions of a TUM file fit only with w first, or poses if inverted, they are read so, which is said.
     """
     found, told = _scored(file, truth, reading), tuple[str, ...]()
-    codes = {n.code for n in found.run.notes if n.named.get("which", "quaternion") == "quaternion"}
-    own = [n for n in found.run.notes if n.code == Code.PATH_QUATERNIONS and n.named["file"] == file]
-    with suppress(DataError):
-        if (own or Code.PATH_TILT in codes) and not reading.columns and found.run.space:
-            w_first = replace(reading, columns=(W_FIRST,))
+    doubted = any(n.code in (Code.PATH_TILT, Code.PATH_QUATERNIONS) for n in found.run.notes) and not reading.columns
+    for who, name in ((ESTIMATE, file), (TRUTH, truth)) if doubted and found.run.space else ():
+        w_first = replace(reading, columns=(",".join(f"{who}.{role}={k}" for k, role in enumerate(EUROC, 1)),))
+        with suppress(DataError):
             both = found, _scored(file, truth, w_first)
             off = [columns_in_space(s.run.space[s.phase]).get("rmse_rotation_3d_se3_deg", math.inf) for s in both]
             if off[1] < off[0] / OTHER_FRAME:
-                told = (sentence(notice(Code.QUATERNION_ORDER, file=file, stated=off[0], fits=off[1])),)
+                told = (sentence(notice(Code.QUATERNION_ORDER, file=name, stated=off[0], fits=off[1])),)
                 found, reading = both[1], w_first
+                break
     back = inverted(found.run.space[found.phase]) if found.run.space else None
     if back is not None and not any("inverse" in value for value in reading.axes):
         k, how, stated, fits = back
