@@ -109,7 +109,7 @@ class Matching:
     axes: tuple[str, ...] = several("[NAME=]AXES")
     unit: tuple[str, ...] = several("[NAME=]UNIT")
     time_offset: tuple[str, ...] = several("[NAME=]S")
-    align: str = choice("none", ("first", "se2", "se3", "sim3", "yaw"), "HOW")
+    align: str = choice("none", ("first", "shift", "se2", "se3", "sim3", "yaw"), "HOW")
     pairs: str = choice("evo", ("rpg", "openvins", "kitti"), "WHOSE")
     truth_gap: float | None = flag.row(None, flag.positive, "S")
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data import se3
+from data.errors import UsageError
 from data.formats.results.path import Spatial
 from data.formats.results.space import moved
 from data.inputs import IntArray
@@ -18,8 +19,7 @@ from data.locked import Locked
 from data.se2 import Array, BoolArray
 from eval.referee.errors import pairs_by_way, pairs_over, rms, successive, without_gaps
 
-NONE, FIRST, SE2, SE3, SIM3, YAW = "none", "first", "se2", "se3", "sim3", "yaw"
-ALIGNMENTS = (NONE, FIRST, SE2, SE3, SIM3, YAW)
+NONE, FIRST, SHIFT, SE2, SE3, SIM3, YAW = "none", "first", "shift", "se2", "se3", "sim3", "yaw"
 FITTED = (SE3, SIM3, YAW)
 FLAT = 1e-6  # Largest height over width of a path in the plane
 
@@ -87,34 +87,52 @@ def poses(path: Spatial) -> Poses:
     return Poses(path.position, path.rotation)
 
 
-def aligning(estimate: Poses, truth: Poses, how: str) -> Similarity | None:
+def in_plane(pose: Array) -> Poses:
+    """Poses (n, 3) of the plane in space."""
+    turn = se3.exp_rotation(np.nan_to_num(pose[:, 2:]) * [0.0, 0.0, 1.0])
+    turn[~np.isfinite(pose[:, 2])] = np.nan
+    return Poses(np.column_stack([pose[:, :2], 0.0 * pose[:, 0]]), turn)
+
+
+def aligning(estimate: Poses, truth: Poses, how: str, *, plane: bool = False) -> Similarity | None:
     """The motion that aligns estimate and truth (n each); None for `none`, or without a match. `se2` is `se3` here,
-    but `yaw` of paths that are flat, which no fit turns over.
+    but `yaw` of paths that are flat, which no fit turns over; in the `plane` all others are, too.
     """
     rows, turned = np.flatnonzero(estimate.placed & truth.placed), bool((estimate.known & truth.known).any())
-    rows = np.flatnonzero(estimate.known & truth.known) if turned else rows
+    rows = np.flatnonzero(estimate.known & truth.known) if turned and (how == FIRST or not plane) else rows
     if how == NONE or not len(rows):
         return None
     a, b = estimate.of(rows), truth.of(rows)
     flat = all(np.ptp(p.position[:, 2]) <= FLAT * np.ptp(p.position[:, :2], axis=0).max() for p in (a, b))
     how = YAW if how == SE2 and flat and not (turned and np.median(tilts(a, b)) > FLAT) else how
-    if how == FIRST or len(rows) < 2:
+    begins, s, R = how in (FIRST, SHIFT) or len(rows) < 2, 1.0, np.eye(3)
+    here, there = (p.position[0] if begins else p.position.mean(axis=0) for p in (a, b))
+    off, onto = a.position - here, b.position - there
+    if how != SHIFT and begins and a.known[0] and b.known[0]:
         R = b.rotation[0] @ a.rotation[0].T
         R = _yaw(R) if how == YAW else R
-        return Similarity(1.0, R, b.position[0] - R @ a.position[0])
-    if how == YAW:
-        off, onto = a.position - a.position.mean(axis=0), b.position - b.position.mean(axis=0)
-        R = _yaw(onto.T @ off)
-        return Similarity(1.0, R, b.position.mean(axis=0) - R @ a.position.mean(axis=0))
-    s, R, t, rank = se3.rigid_fit(a.position, b.position, scaled=how == SIM3)
-    if rank < 2 and turned:
-        axis = np.linalg.svd(b.position - b.position.mean(axis=0), full_matrices=False)[2][0]
-        R = np.asarray(se3.about_axis(axis, R @ a.rotation, b.rotation) @ R)
-        if rank == 0:  # all by the orientations
+    elif how != SHIFT and (begins or how == YAW or plane):
+        way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(onto, axis=0), axis=1)))
+        some = 1 + int(np.searchsorted(way, BEGINNING * way[-1])) if begins else len(rows)
+        C = onto[:some].T @ off[:some]
+        if begins and not C.any():
+            raise UsageError(
+                f"--align {how}: no heading, and no way that tells one; --align shift moves without a turn"
+            )
+        R = _yaw(C)
+        s = float(np.sum(onto * (off @ R.T)) / np.sum(off**2)) if how == SIM3 and off.any() else s
+    elif how != SHIFT:
+        s, R, _, rank = se3.rigid_fit(a.position, b.position, scaled=how == SIM3)
+        if rank < 2 and turned:
+            axis = np.linalg.svd(onto, full_matrices=False)[2][0]
+            R = np.asarray(se3.about_axis(axis, R @ a.rotation, b.rotation) @ R)
+        if rank == 0 and turned:  # all by the orientations
             U, _, Vt = np.linalg.svd(np.einsum("kij,klj->il", b.rotation, a.rotation))
             R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-        t = b.position.mean(axis=0) - s * R @ a.position.mean(axis=0)
-    return Similarity(s, R, t)
+    return Similarity(s, R, there - s * R @ here)
+
+
+BEGINNING = 0.1  # Share of the way that tells a heading where there are none
 
 
 def _yaw(C: Array) -> Array:

@@ -12,7 +12,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from data import se2, se3
-from data.errors import UsageError
 from data.formats.results.path import GivenPath, Spatial
 from data.formats.results.space import flattened, projection
 from data.inputs import Increments, Inputs, IntArray, Observations, Prior
@@ -26,32 +25,7 @@ from data.timeline import usual_gap
 from data.truth import Truth
 from data.truth_windows import unscored
 from data.words import sentence
-from eval.referee.given.in_space import EVO, FIRST, NONE, SIM3, InSpace, Poses, aligning, poses
-
-
-def alignment(pose: Array, truth: Array, how: str) -> Array | None:
-    """The motion (3,) T that aligns poses (n, 3) with the truth from the left; None for `none` or without a match.
-
-    NaN rows are left out. In the plane `se3` and `yaw` are `se2`, `sim3` is that after `scale_onto`; with one matched
-    pose it is `first`.
-    """
-    known = np.flatnonzero(np.isfinite(pose[:, :2]).all(axis=1) & np.isfinite(truth[:, :2]).all(axis=1))
-    if how == NONE or not len(known):
-        return None
-    if how == FIRST or len(known) < 2:
-        if not np.isfinite([pose[known[0], 2], truth[known[0], 2]]).all():
-            raise UsageError(f"--align {how}: the first matched pose has no heading; --align se2 needs two positions")
-        return se2.compose(truth[known[0]], se2.inverse(pose[known[0]]))
-    return se2.rigid_fit(pose[known, :2], truth[known, :2])
-
-
-def scale_onto(pose: Array, truth: Array) -> float:
-    """The scale of poses (n, 3) that fits best to the truth (Umeyama 1991); 1 with fewer than two matches."""
-    known = np.isfinite(pose[:, :2]).all(axis=1) & np.isfinite(truth[:, :2]).all(axis=1)
-    if known.sum() < 2:
-        return 1.0
-    ours, theirs = (p[known, 0] + 1j * p[known, 1] - np.mean(p[known, 0] + 1j * p[known, 1]) for p in (pose, truth))
-    return float(np.abs(np.vdot(ours, theirs)) / np.vdot(ours, ours).real)
+from eval.referee.given.in_space import EVO, FIRST, NONE, InSpace, Poses, aligning, in_plane, poses
 
 
 def moved(T: Array, path: Trajectory) -> Trajectory:
@@ -202,7 +176,7 @@ class GivenRun(Run):
 
     log: Log | None = None  # the log at the run's stamps; the scored log itself where the stamps are its frames
     match: Match | None = None  # None: there is no truth
-    aligned: str = NONE  # one of `in_space.ALIGNMENTS`
+    aligned: str = NONE  # one of the values of `--align`
     space: Mapping[str, InSpace] = field(default_factory=dict)  # by phase, where estimate and truth are in space
     source: Mapping[str, str] = field(default_factory=dict)  # SHA-256 of each file read
     handed_in: ClassVar[bool] = True
@@ -267,20 +241,17 @@ def given_run(
     unknown, landmarks = np.full((len(time), 3, 3), np.nan), kept.landmarks
     true_space = None if truth is None or truth.path is None else truth.path.space
     space: dict[str, InSpace] = {}
-    scale = np.ones(3)  # of x, y and theta
-    turned = all(s is None or np.isfinite(s.rotation).all() for s in (true_space, last.space))
-    if true_space is not None and last.space is not None and (turned or align != FIRST):
+    if true_space is not None and last.space is not None:
         at = match_in_space(time, true_space, gap, hidden)
         fit = aligning(poses(last.space), at, align)
         for phase, path in paths.items():
             assert path.space is not None  # all phases are of one format
             space[phase] = InSpace(path.space if fit is None else fit.of(path.space), at, path.space, pairs)
         paths = paths if fit is None else {k: flattened(space[k].estimate) for k in paths}
-        T = None if fit is None else fit.planar
     else:
-        if align == SIM3 and found is not None:
-            scale[:2] = scale_onto(last.pose, found.truth)
-        T = None if found is None else alignment(last.pose * scale, found.truth, align)
+        fit = None if found is None else aligning(in_plane(last.pose), in_plane(found.truth), align, plane=True)
+    T = None if fit is None else fit.planar
+    scale = np.array([1.0, 1.0, 1.0] if fit is None or space else [fit.scale, fit.scale, 1.0])  # of x, y and theta
     C = {k: unknown if p.covariance is None else p.covariance * np.outer(scale, scale) for k, p in paths.items()}
     made = {k: Trajectory(p.pose * scale, C[k]) for k, p in paths.items()}
     if T is not None:
@@ -315,7 +286,9 @@ def _notes(path: GivenPath, found: Match | None, aligned: str, *, in_space: bool
         yield notice(Code.NO_COVARIANCE, name="")
     yield from (notice(Code.NOTE, text=s) for s in (projection(path), *path.notes) if s)
     if aligned:
-        yield notice(Code.ALIGNED, how=aligned, in_space=in_space)
+        bare = found is not None and not np.isfinite(found.truth[:, 2] + path.pose[:, 2]).any()
+        how = "course" if aligned == FIRST and bare else aligned
+        yield notice(Code.ALIGNED, how=how, in_space=in_space)
 
 
 def created_by(decisions: IntArray, final: IntArray, task: str) -> IntArray:

@@ -12,10 +12,10 @@ from data.logs import open_log
 from data.result import DISCARD, NEW, MapEstimate, Trajectory
 from eval.referee.consistency import nees
 from eval.referee.errors import TOLERANCE, pairs_by_way, rpe_columns
+from eval.referee.given.in_space import aligning, in_plane
 from eval.referee.given.pairing import time_offset
 from eval.referee.given.runs import (
     TruePath,
-    alignment,
     begun_by,
     created_by,
     given_run,
@@ -65,23 +65,29 @@ WAY = np.column_stack([np.cumsum(RNG.uniform(0.1, 1.0, 40)), np.sin(np.arange(40
 MOTION = np.array([4.0, -2.0, 2.5])
 
 
+def aligned(pose, truth, how):
+    return aligning(in_plane(pose), in_plane(truth), how, plane=True)
+
+
 def covariances(n=40):
     root = RNG.normal(size=(n, 3, 3)) * 0.1
     return root @ root.transpose(0, 2, 1)
 
 
-@pytest.mark.parametrize("how", ["first", "se2"])
-def test_a_path_that_is_the_truth_elsewhere_comes_back(how):
-    assert np.allclose(alignment(se2.compose(MOTION, WAY), WAY, how), se2.inverse(MOTION), atol=1e-9)
+@pytest.mark.parametrize(("how", "headings"), [("first", 1.0), ("se2", 1.0), ("sim3", math.nan), ("first", math.nan)])
+def test_a_path_that_is_the_truth_elsewhere_comes_back(how, headings):
+    found = aligned(se2.compose(MOTION, WAY) * [1.0, 1.0, headings], WAY, how)
+    assert np.allclose((found.scale, *found.planar), (1.0, *se2.inverse(MOTION)), atol=1e-9)
+    assert aligned(WAY + MOTION, WAY, "shift").planar == pytest.approx([-4.0, 2.0, 0.0])
 
 
 def test_a_map_is_moved_with_its_path_and_nees_stay_what_they_were():
-    assert alignment(WAY, WAY, "none") is None
-    assert alignment(WAY, np.full_like(WAY, np.nan), "se2") is None
+    assert aligned(WAY, WAY, "none") is None
+    assert aligned(WAY, np.full_like(WAY, np.nan), "se2") is None
     truth = WAY.copy()
     truth[:3] = np.nan
     estimate = se2.compose(MOTION, WAY) + np.linspace(0, 1, 40)[:, None]
-    T = alignment(estimate, truth, "first")
+    T = aligned(estimate, truth, "first").planar
     assert se2.compose(T, estimate)[3] == pytest.approx(truth[3], abs=1e-9)
     path = Trajectory(WAY + 0.1 * RNG.normal(size=WAY.shape), covariances())
     elsewhere = moved(MOTION, path)
