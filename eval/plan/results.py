@@ -6,13 +6,14 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 
 from data.columns.header import HEADER
-from data.columns.named import LENGTH
+from data.csv_table import is_number
 from data.dates import ISO
 from data.earth import east_north_up
 from data.errors import DataError, UsageError, did_you_mean
@@ -22,12 +23,12 @@ from data.formats.results import path as paths
 from data.formats.results.path import ROWS, STATED, Clock, GivenPath, Manner, restamped
 from data.formats.results.reading import read_path
 from data.formats.results.tables import Companions, companions
-from data.formats.tables.files import pairs
+from data.formats.tables.files import ANGLE, DIMENSIONS, TIME, factor, pairs
 from data.inputs import IntArray
 from data.log import Log
 from data.notice import Code, Notice, notice
 from data.se2 import Array
-from eval.plan.flags.table import Matching, Results, Scoring
+from eval.plan.flags.table import Matching, Results
 from eval.referee.given.in_space import NONE
 from eval.referee.given.pairing import Pair, about_file, about_pair, called, same_clock, same_frames, time_offset
 from eval.referee.given.runs import GivenRun, MapAndDecisions, TruePath, given_run, truth_log, with_truth
@@ -87,41 +88,57 @@ def phase_of(path: Path) -> str:
 
 def manner_of(name: str, names: Sequence[str], reading: Matching) -> Manner:
     """How a result or the truth is read; a value with `NAME=` overrides one for all."""
-    every = [unit for units in UNITS for unit in units]
-    of = re.compile(r"^(?:(\w+)\.)?(?:t|time|theta|angle|length|lat|lon)=")  # as of convert table
-    each = [part for text in reading.unit for part in text.split(",")]
-    stated = [of.sub(lambda m: f"{m[1]}=" if m[1] else "", part) for part in each]
+    units = _of_file("--unit", _units(names, reading), name, names, (*UNITS, *AXES))
+    stamps, angles = units.get("time"), units.get("angle")
+    lengths = {axis: text for axis in AXES if (text := units.get(axis, units.get("length")))}
+    of = _of_file("--columns", pairs(list(getattr(reading, "columns", ())), "columns"), name, names, KEYS)
+    columns = {role.replace("theta", "yaw"): column for role, column in of.items()}
+    fixed = {role: float(c) for role, c in columns.items() if is_number(c) and not (c.isdecimal() and int(c))}
 
     def path(flag: str, values: Sequence[str], *, alone: bool = False) -> Path | None:
         value = _of(flag, values, name, names, alone=alone)
         return None if value is None else Path(value)
 
-    def unit(kind: Sequence[str]) -> str | None:
-        return _of("--unit", [text for text in stated if text.rpartition("=")[2] in kind], name, names, every)
-
-    for text in stated:
-        _known("--unit", text.rpartition("=")[2], every)
-    stamps, angles, lengths = map(unit, UNITS)
     inverse, axes = paths.READ_AS[_of("--axes", reading.axes, name, names, [*paths.READ_AS][1:]) or ""]
     return Manner(
         path("--cov", reading.cov, alone=True), path("--times", reading.times),
         _of("--cov-frame", reading.cov_frame, name, names, paths.FRAMES), axes or None, inverse,
-        _of("--cov-order", reading.cov_order, name, names, paths.COV_ORDERS), stamps, angles, lengths,
-        _columns_of(name, names, reading) if isinstance(reading, Scoring) else {}, name == TRUTH,
+        _of("--cov-order", reading.cov_order, name, names, paths.COV_ORDERS),
+        factor("time", stamps, f"--unit {stamps}") if stamps and stamps not in (*paths.DIGITS, ISO) else stamps,
+        None if angles is None else factor("angle", angles, f"--unit {angles}"),
+        {axis: factor("length", text, f"--unit {axis}={text}") for axis, text in lengths.items()},
+        {role: column for role, column in columns.items() if role not in fixed}, fixed, name == TRUTH,
+        compass=angles == "compass",
     )  # fmt: skip
 
 
-def _columns_of(name: str, names: Sequence[str], reading: Scoring) -> dict[str, str]:
-    """Columns of a file by role: those of its name, else those of all."""
+def _units(names: Sequence[str], reading: Matching) -> dict[str, str]:
+    """The stated units by what they are of: time, angle, length, or one axis, with the name of a file before it."""
+    found: dict[str, str] = {}
+    for text in filter(None, ",".join(reading.unit).split(",")):
+        key, _, unit = text.rpartition("=")
+        bare = _known("--unit", re.sub(r"^-?[\d.]*(e-?\d+)?", "", unit), [*chain(*UNITS.values())])  # -0.01mm
+        kind = next(kind for kind, units in UNITS.items() if bare in units)
+        who, _, what = key.rpartition(".")
+        who, what = (who, what) if what in (*KEYS, *UNITS) and key not in names else (key, kind)
+        of = f"{who}.{what if what in AXES else kind}"
+        if found.setdefault(of, unit) != unit:
+            raise UsageError(f"--unit {text}: given twice for one result; write NAME=... for each")
+    return found
+
+
+def _of_file(flag: str, stated: dict[str, str], name: str, names: Sequence[str], keys: Sequence[str]) -> dict[str, str]:
+    """Values of a flag for a file, by what they are of: those of its name, else those of all."""
     found: dict[str, dict[str, str]] = {"": {}, name: {}}
-    for key, column in pairs(list(reading.columns), "columns").items():
-        who, _, role = key.rpartition(".")
-        _known("--columns", role, KEYS)
-        _known("--columns", who, ("", *names, TRUTH))
-        found.get(who, {})["yaw" if role == "theta" else role] = column
+    for key, value in stated.items():
+        who, _, of = key.rpartition(".")
+        _known(flag, of, keys)
+        _known(flag, who, ("", *names, TRUTH))
+        found.get(who, {})[of] = value
     return found[""] | found[name]
 
 
+AXES = ("x", "y", "z")
 KEYS = ("t", "x", "y", "z", "lat", "lon", "alt", "theta", "roll", "pitch", "qx", "qy", "qz", "qw")
 
 
@@ -132,16 +149,12 @@ def offset_of(name: str, names: Sequence[str], reading: Matching) -> float | str
     value = _of(OFFSET, reading.time_offset, name, names)
     if value is None or value == AUTO:
         return value
-    try:
-        seconds = float(value)
-    except ValueError:
-        seconds = math.nan
-    if not math.isfinite(seconds):
+    if not (is_number(value) and math.isfinite(float(value))):
         raise UsageError(f"{OFFSET} {value}: a number of seconds or {AUTO} is needed")
-    return seconds
+    return float(value)
 
 
-UNITS = ((*paths.DIGITS, ISO), ("rad", "deg"), tuple(LENGTH))  # of stamps, angles and positions
+UNITS = {"time": (*TIME, ISO), "angle": (*ANGLE,), "length": (*DIMENSIONS["length"],)}
 
 
 def _of(

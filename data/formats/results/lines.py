@@ -15,6 +15,7 @@ import scipy
 
 from data.columns.named import STAMP
 from data.csv_table import cut_off, is_number, symmetric
+from data.dates import EXAMPLE, ISO
 from data.earth import placed
 from data.errors import LARGEST, DataError, UsageError
 from data.formats.arrays import is_arrays
@@ -257,6 +258,9 @@ def times_of(
             what = f"{len(raw)} stamps for the {len(stamps)} poses of {text.path}; one each is needed"
             raise DataError.at(manner.times, what)
         return times_of(side, raw, manner)
+    unit_of_flag = manner.stamps
+    if isinstance(unit_of_flag, float):
+        stamps, unit_of_flag = unit_of_flag * stamps, "s"
     known = np.flatnonzero(np.isfinite(stamps))  # DataError where they decrease
     back = np.flatnonzero(np.diff(stamps[known]) < 0.0)
     if len(back):
@@ -267,8 +271,10 @@ def times_of(
         raise DataError.at(text.path, what + several, line=text.line[k])
     clock = paths.Clock("s", paths.ROWS) if column == UNSTAMPED else clock
     clock = paths.Clock("s", paths.DATES) if unit == paths.DATES else clock
-    if clock is None and manner.stamps is not None:
-        clock = paths.Clock(manner.stamps, paths.STATED)
+    if clock is None and unit_of_flag is not None:
+        if unit_of_flag == ISO:
+            raise UsageError(f"--unit {ISO}: {text.path} has no dates as in {EXAMPLE}")
+        clock = paths.Clock(unit_of_flag, paths.STATED)
     clock = clock or paths.clock_of(str(text.path), stamps, unit, usual)
     written = [] if column == UNSTAMPED else [fields[column] for fields in text.fields]
     return paths.seconds(stamps, written, clock.unit), clock
@@ -309,7 +315,7 @@ def path_of(
     kind = f"{kind}, {clock.words}"
     s = paths.Spatial(file, kind, time, rows[:, 1:4], R, C, frame, text.place, stated, notes, clock)
     path = on_plane(s, manner)
-    return paths.without_headings(path) if absent else path
+    return paths.without_headings(path, flat="z" not in {*manner.columns, *manner.fixed}) if absent else path
 
 
 def read_kitti(text: Text, manner: paths.Manner) -> paths.GivenPath:

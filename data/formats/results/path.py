@@ -183,12 +183,12 @@ def unturned(quaternion: Array, position: Array) -> bool:
 AHEAD = 0.5  # Least share of its way that a robot of heading 0 gets ahead along x: less than 60 deg to either side
 
 
-def without_headings(path: GivenPath) -> GivenPath:
-    """The path as positions alone, in space if its heights differ."""
+def without_headings(path: GivenPath, *, flat: bool = True) -> GivenPath:
+    """The path as positions alone, in space if its heights differ; `flat`: only then."""
     if ABSENT in path.notes:
         return path
     pose, s = path.pose * [1.0, 1.0, np.nan], path.space
-    high = s is not None and np.ptp(s.position[:, 2]) > 0.0
+    high = s is not None and (np.ptp(s.position[:, 2]) > 0.0 or not flat)
     space = replace(s, rotation=np.nan * s.rotation, covariance=None) if s is not None and high else None
     return replace(path, pose=pose, space=space, outside={}, headings=None, notes=(*path.notes, ABSENT))
 
@@ -210,14 +210,21 @@ class Manner:
     axes: str | None = None  # of a trajectory in space (`AXES`); None: the format's
     inverse: str = ""  # one of `INVERSE`; empty: poses are of the body in the world
     order: str | None = None  # of the covariances' tangent (`COV_ORDERS`); None: the file's
-    stamps: str | None = None  # unit of the stamps; None: as stated or inferred
-    angles: str | None = None  # unit of headings, roll and pitch (`rad`, `deg`); None: as stated, else rad
-    lengths: str | None = None  # unit of positions (a key of `LENGTH`); None: as stated, else m
+    stamps: str | float | None = None  # unit of the stamps, or s per unit; None: as stated or inferred
+    angles: float | None = None  # rad per unit of angles, below 0 of clockwise headings; None: as stated, else rad
+    lengths: Mapping[str, float] = field(default_factory=dict)  # m per unit of x, y, z; else as stated, or m
     # names, or numbers from 1, of columns by role (t, x, y, z, lat, lon, alt, roll, pitch, yaw, qx, qy, qz, qw)
     columns: Mapping[str, str] = field(default_factory=dict)
+    fixed: Mapping[str, float] = field(default_factory=dict)  # by role what is one number in place of a column
     true: bool = False  # where a row holds both, the true pose is read
     rows: bool = False  # a row holds both: stamps that do not ascend are not read
     datum: tuple[float, ...] = ()  # of latitudes and longitudes, as of `GivenPath`; empty: their first place
+    compass: bool = False  # headings begin at y, which is north
+
+    @property
+    def scale(self) -> Array:
+        """Of x, y and z (3,)."""
+        return np.array([self.lengths.get(axis, 1.0) for axis in "xyz"])
 
 
 COARSE = 1.0 / 3.0  # Largest share of poses that have the stamp of a different one: of more the stamps lack digits

@@ -15,7 +15,7 @@ import scipy
 
 from data.columns.named import COVARIANCE, LENGTH, STAMP, YAW
 from data.csv_table import is_number, symmetric
-from data.dates import EXAMPLE, IN_SECONDS, ISO, is_date, seconds_of, unit_of
+from data.dates import EXAMPLE, IN_SECONDS, is_date, seconds_of, unit_of
 from data.earth import on_plane, placed
 from data.errors import DataError, UsageError, did_you_mean
 from data.formats.messages import kinds_of, runs_of
@@ -132,7 +132,7 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
     earthly = earth <= there and (earth <= {*place} or not {"x", "y"} <= there)
     read = [("", "") if its[0] in (("x", "y", "z") if earthly else EARTH) else its for its in read]
     for j, (role, _) in enumerate(read):
-        if role and role not in place and j not in place.values():
+        if role and role not in place and role not in manner.fixed and j not in place.values():
             found.setdefault(role, []).append(j)
     of_name = {name: set(words_of(name)[0]) for name in {*sides}}
     words = [of_name[name] for name in sides]
@@ -176,7 +176,8 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
         some = [j for j in some if (side[j] == side[k] if side[j] else not beside)]
         place |= dict.fromkeys([role] * (len(some) == 1), *some[:1])
     stated = {role: words_of(names[j])[1] if role in manner.columns else read[j][1] for role, j in place.items()}
-    unit = {role: its for role, its in stated.items() if its}
+    flags = manner.lengths, {} if manner.angles is None else TURNS  # which count more than names
+    unit = {role: its for role, its in stated.items() if its and role[-1] not in flags[0] and its not in flags[1]}
     unread = tuple(name for j, name in enumerate(names) if name and j not in place.values())
     if "nanoseconds" in place and "t" not in place:
         place["t"], unit["t"] = place.pop("nanoseconds"), "ns"
@@ -283,7 +284,7 @@ RATES = {"kmh": "km/h", "kph": "km/h", "mph": "mi/h", "kn": "nmi/h", "mps": "m/s
 def words_of(name: str) -> tuple[list[str], str]:
     """The words of a column's name in small letters, without its unit, in brackets or last, and that unit."""
     unit = ""
-    if found := re.fullmatch(r"(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]", name):
+    if found := re.fullmatch(r"(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]\W*", name):
         name, unit = found[1], _unit(found[2]) or found[2].strip()
     words = [w for w in re.split(r"[^a-z0-9µ°]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()) if w]
     if len(words) > 1 and words[-1] not in STAMPS | set("xyzwt") and (_unit(words[-1]) or words[-1] in RATES):
@@ -309,14 +310,16 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     if flat := quaternion == ["qz", "qw"]:
         quaternion, columns = [], replace(columns, unit=columns.unit | {"yaw": "rad"})
     for role in (*(("lat", "lon") if "lat" in place else ("x", "y")), *(POSE[4:] if quaternion else ())):
-        if role not in place:
+        if role not in place and role not in manner.fixed:
             what = f"no column {role} is named: {', '.join(columns.order) or 'none'} are known"
             ends = [name for name in columns.unread if words_of(name)[0][-1:] == [role]][:SHOWN]
             what += f"; {', '.join(ends)} may be {role}" if ends else f"; it has {', '.join(columns.unread)[:120]}"
             what += f"; type --columns {'truth.' * manner.true}{role}={(ends or ['NAME'])[0]}"
+            what += f", or {role}=0 of a straight way" * (role in ("x", "y") and not ends and len(place) > 1)
             raise DataError.at(text.path, what, line=columns.line or None)
     dated = _in_seconds(body, place["t"]) if "t" in place else body
     value = {"t": np.arange(len(body.fields), dtype=float)} | _values(dated, columns)
+    value |= {role: np.full(len(body.fields), of) for role, of in manner.fixed.items()}
     behind = place.keys() & {"yaw", "qw"} == set() and place.get("t") == place.get("y", 0) + 1  # x, y, t
     if behind and (np.diff(value["t"]) < 0.0).any() and not manner.columns.keys() & {"t"}:
         told = f"{'truth.' * manner.true}theta={place['t'] + 1}"
@@ -331,16 +334,19 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
         raise DataError.at(text.path, what, line=columns.line or None)
     if absent:
         value["yaw"] = np.zeros(len(body.fields))
-    angles = (TURNS, manner.angles or "rad")
-    units = {"t": (dict.fromkeys(DIGITS, 1.0), "s"), **dict.fromkeys(("x", "y", "z", "alt"), (LENGTH, "m"))}
-    units |= dict.fromkeys(("lat", "lon"), (TURNS, manner.angles or "deg"))
-    for role, (known, usual) in (units | dict.fromkeys(("roll", "pitch", "yaw"), angles)).items():
+    turn = 1.0 if manner.angles is None else manner.angles
+    units = {"t": (dict.fromkeys(DIGITS, 1.0), 1.0), **dict.fromkeys(("x", "y", "z", "alt"), (LENGTH, 1.0))}
+    units |= dict.fromkeys(("lat", "lon"), (TURNS, TURNS["deg"] if manner.angles is None else abs(turn)))
+    units |= {"roll": (TURNS, abs(turn)), "pitch": (TURNS, abs(turn)), "yaw": (TURNS, turn)}
+    for role, (known, usual) in units.items():
         if role in value:
-            unit = columns.unit.get(role, usual)
-            if unit not in known:
+            if (unit := columns.unit.get(role)) not in (None, *known):
                 what = f"unit {unit!r} of {role}; one of {', '.join(known)} is needed"
                 raise DataError.at(text.path, what, line=columns.line or None)
-            value[role] = value[role] * known[unit]
+            value[role] = value[role] * (usual if unit is None else known[unit])
+    if "yaw" in value:
+        value["yaw"] = value["yaw"] * (np.sign(turn) if flat else 1.0) + 0.5 * np.pi * manner.compass
+        manner = replace(manner, angles=TURNS[columns.unit["yaw"]]) if "yaw" in columns.unit else manner
     if "nanoseconds" in value:
         whole = bool((value["t"] % 1.0 == 0.0).all())  # else they are those of another clock
         value["t"] = value["t"] + 1e-9 * whole * value["nanoseconds"]
@@ -360,7 +366,7 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
         each = np.column_stack([np.degrees(value["lat"]), np.degrees(value["lon"]), high])
         metres, datum, said = on_plane(text.path, each, manner.datum)
         value |= dict(zip("xyz" if "alt" in value else "xy", metres.T, strict=False))
-        notes += (said,) * bool(said)
+        notes, manner = (*notes, *[said] * bool(said)), replace(manner, lengths={"z": manner.scale[2]})
     unit_of_time = DATES if dated is not body else "s" if "nanoseconds" in value else columns.unit.get("t")
     body = dated
     if manner.rows and not (np.diff(value["t"]) > 0.0).all() and np.isfinite([value["x"], value["y"]]).all():
@@ -372,17 +378,15 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     if quaternion or "z" in value or (not flat and ("roll" in place or "pitch" in place)):
         found = replace(_spatial(body, columns, value, manner, notes, unit_of_time), datum=datum)
         return paths.without_headings(found) if absent else found
-    kind, stated = f"columns {', '.join(columns.order)}", columns.unit.get("yaw")
+    kind = f"columns {', '.join(columns.order)}"
     if ours:
         kind = "CSV of t, x, y, theta" + " and covariance" * (COVARIANCE[0] in place)
         bare = np.flatnonzero(~np.isfinite(value["t"]))
         if len(bare):
             raise DataError.at(text.path, "no stamp; a number is needed", line=body.line[bare[0]], column="t")
-    found = _planar(
-        body, kind, value, manner, notes, unit=unit_of_time, column=place.get("t", UNSTAMPED), angles=stated, ours=ours
-    )
+    found = _planar(body, kind, value, manner, notes, unit=unit_of_time, column=place.get("t", UNSTAMPED), ours=ours)
     found = replace(found, datum=datum)
-    return paths.without_headings(found) if absent else found
+    return paths.without_headings(found, flat="z" not in {*manner.columns, *manner.fixed}) if absent else found
 
 
 def _require_one(body: Text, names: Sequence[str], value: dict[str, Array]) -> None:
@@ -494,14 +498,14 @@ def _spatial(
         C = symmetric(entries, lower=True)
     elif set(COVARIANCE) <= {*value}:
         C, frame, stated = np.full((len(pose), 6, 6), np.nan), WORLD, Stated(order=True)
-        turn = TURNS[columns.unit.get("yaw") or manner.angles or "rad"] if "qw" not in value else 1.0
+        turn = (manner.angles or 1.0) if "qw" not in value else 1.0
         entries = np.column_stack([value[c] * turn ** c.count("t") for c in COVARIANCE])
         C[:, [[0], [1], [5]], [0, 1, 5]] = symmetric(entries)
         C[:, 2, 2] = value.get("c_zz", C[:, 2, 2])
     kind = WELL_KNOWN.get(columns.order, WELL_KNOWN.get(columns.order[:8], f"columns {', '.join(columns.order[:8])}"))
     time, clock = lines.times_of(body, value["t"], manner, unit=unit, column=columns.place.get("t", UNSTAMPED))
     path = lines.path_of(body, kind, (time, clock), pose, C, manner, frame=frame, stated=stated, notes=notes)
-    if "qw" in value or "yaw" in columns.unit or manner.angles is not None:
+    if "qw" in value or manner.angles is not None:
         return path
     finite = np.flatnonzero(np.isfinite(pose).all(axis=1))
     return replace(path, headings=value["yaw"][finite[np.searchsorted(time[finite], path.time, side="right") - 1]])
@@ -509,12 +513,12 @@ def _spatial(
 
 def _planar(
     body: Text, kind: str, value: dict[str, Array], manner: Manner, notes: tuple[str, ...],
-    *, unit: str | None = None, column: int, angles: str | None = None, ours: bool = False,
+    *, unit: str | None = None, column: int, ours: bool = False,
 ) -> GivenPath:  # fmt: skip
     """The trajectory of t, x, y, yaw [rad] and maybe a covariance; `ours`: unknown poses are kept."""
     time, clock = lines.times_of(body, value["t"], manner, unit=unit, column=column)
-    scale = LENGTH[manner.lengths or "m"]
-    pose = np.column_stack([scale * value["x"], scale * value["y"], wrap_angle(value["yaw"])])
+    scale = np.array([*manner.scale[:2], manner.angles or 1.0])  # of covariances, also of the heading
+    pose = np.column_stack([scale[0] * value["x"], scale[1] * value["y"], wrap_angle(value["yaw"])])
     known = np.isfinite(pose).all(axis=1) & np.isfinite(time)
     if ours:
         keep = paths.in_order(str(body.path), time, pose)
@@ -536,13 +540,12 @@ def _planar(
         if some is not None or ours:
             P = np.zeros((len(pose), 3, 3))
             P[~exact] = np.nan if some is None else some
-            turn = TURNS[angles or manner.angles or "rad"]
-            P = P[keep] * np.outer([scale, scale, turn], [scale, scale, turn])
+            P = P[keep] * np.outer(scale, scale)
             require_covariances(P, lambda k: body.place(int(keep[k])))
         notes += more
     if ours and np.isfinite(pose[:, :2]).any() and not np.isfinite(pose[:, 2]).any():
         notes = (ABSENT,)
-    frame, raw = "" if P is None else WORLD, value["yaw"][keep] if angles is None and manner.angles is None else None
+    frame, raw = "" if P is None else WORLD, value["yaw"][keep] if manner.angles is None else None
     kind = f"{kind}, {clock.words}"
     path = GivenPath(str(body.path), kind, time[keep], pose[keep], P, frame, notes=notes, clock=clock, headings=raw)
     path = replace(path, every=time if (np.diff(time) > 0.0).all() else None)
@@ -570,11 +573,6 @@ WITHOUT_NAMES = {8: lines.read_tum, 12: lines.read_kitti}
 
 def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
     """The trajectory in a file or bag (`FILE:/TOPIC`). DataError: wrong format or value; UsageError: wrong options."""
-    if manner.stamps == ISO:
-        found = read_path(name, replace(manner, stamps=None))
-        if found.clock.by != DATES:
-            raise UsageError(f"--unit {ISO}: {name} has no dates as in {EXAMPLE}")
-        return found
     path, topic = file_and_topic(name)
     table = topic is not None and is_table(path, topic)
     if is_bag(path) and not table:
@@ -593,7 +591,7 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
     raw = found.headings
     if raw is not None and in_degrees(np.column_stack([found.pose[:, :2], raw])):
         told = "inferred: headings are in degrees, as which alone they follow the motion (else --unit rad)"
-        read_again = read_path(name, replace(manner, angles="deg"))
+        read_again = read_path(name, replace(manner, angles=TURNS["deg"]))
         return replace(read_again, notes=(*read_again.notes, told))
     if manner.cov is not None and not cov:
         raise UsageError(f"--cov {manner.cov}: {name} is {found.kind}; a TUM file of 8 columns is needed")

@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from data import se3
-from data.columns.named import LENGTH
 from data.errors import DataError
 from data.formats.recordings.ros import STILL, Tree, bare, rotation_of
 from data.formats.results.path import CAMERA, LEFT, LOCAL, MIXED, ROTATION, WORLD, GivenPath, Manner, Spatial, in_order
@@ -38,11 +37,13 @@ def rotations(quaternion: Array, place: Callable[[int], str]) -> Array:
 def on_plane(spatial: Spatial, manner: Manner) -> GivenPath:
     """The trajectory in the plane, without rows with NaN. DataError: a bad or contradicted covariance, or no row."""
     s, frame, C = spatial, spatial.frame, spatial.covariance
+    lost = "inverse poses" * bool(manner.inverse) or "axes with units of their own" * (len({*manner.scale}) > 1)
+    if lost and C is not None:
+        C, s = None, replace(s, covariance=None, notes=(*s.notes, f"covariances of {lost} are left out"))
     if manner.inverse:
-        R, notes = s.rotation.transpose(0, 2, 1), ("covariances of inverse poses are left out",) * (C is not None)
+        R = s.rotation.transpose(0, 2, 1)
         p = s.position if manner.inverse.endswith("rotations") else -np.einsum("nij,nj->ni", R, s.position)
-        stated, C = replace(s.stated, inverse=manner.inverse), None
-        s = replace(s, position=p, rotation=R, covariance=C, notes=(*s.notes, *notes), stated=stated)
+        s = replace(s, position=p, rotation=R, stated=replace(s.stated, inverse=manner.inverse))
     if C is not None and manner.frame is not None:
         if s.stated.convention and manner.frame != s.frame:
             raise DataError.at(s.file, f"its header states {s.frame} covariances; remove --cov-frame {manner.frame}")
@@ -61,8 +62,9 @@ def on_plane(spatial: Spatial, manner: Manner) -> GivenPath:
     keep = rows[in_order(s.file, s.time[rows], s.position[rows])]
     if len(keep) < len(rows):
         notes += (f"{len(rows) - len(keep)} of {len(rows)} poses share their stamp with a later one, which is used",)
-    p, R = s.position[keep], s.rotation[keep]
-    C = None if C is None else C[keep]
+    scale = np.append(manner.scale, np.ones(3))
+    p, R = s.position[keep] * scale[:3], s.rotation[keep]
+    C = None if C is None else C[keep] * np.outer(scale, scale)
     if (manner.axes or (CAMERA if s.stated.axes else "")) == CAMERA:
         turn = np.kron(np.eye(2), FROM_CAMERA)
         p, R = p @ FROM_CAMERA.T, FROM_CAMERA @ R @ FROM_CAMERA.T
@@ -71,10 +73,6 @@ def on_plane(spatial: Spatial, manner: Manner) -> GivenPath:
     def place(k: int) -> str:
         return s.place(int(keep[k]))
 
-    unit = LENGTH[manner.lengths or "m"]
-    if unit != 1.0:
-        scale = np.diag([unit] * 3 + [1.0] * 3)
-        p, C = p * unit, None if C is None else scale @ C @ scale
     stated = replace(s.stated, order=s.stated.order or manner.order is not None)
     stated = replace(stated, convention=stated.convention or manner.frame is not None)
     whole = replace(

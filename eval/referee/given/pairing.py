@@ -181,7 +181,6 @@ def same_clock(a: GivenPath, b: GivenPath, name: str, *, moved: bool = False) ->
                 if factor > 1.0 and abs(spans / factor - 1.0) < 0.1 and 1.0 / 3.0 < steps / factor < 3.0:
                     what = f"stamps span {_span(slow)[0]:.6g} s, those of {fast.file} {_span(fast)[0]:.6g} s"
                     ask = f"are they {name} in one of the two? State the units: --unit NAME={name}, --unit NAME=s"
-                    ask = ask if name in paths.DIGITS else "are they min in one of the two? Write s"
                     raise DataError.at(slow.file, f"{what}: {ask}")
     return a, b
 
