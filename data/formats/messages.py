@@ -65,7 +65,8 @@ def _tidied(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], str]:
             [f.strip(' "') for f in line.strip().rstrip(mark).split(mark)] for _, line in top]  # fmt: skip
     ahead = [len(row) > 2 or len(row) == len(after) for row, after in zip(rows, [*rows[1:], *rows[-1:]], strict=True)]
     first = next((k for k, row in enumerate(rows) if ahead[k] and 2 * sum(map(is_number, row)) >= len(row)), 0)
-    if first > 1 and len(rows[first - 2]) == len(rows[first]) == len(units := rows[first - 1]) and _are_units(units):
+    units = rows[first - 1] if first > 1 and len(rows[first - 2]) == len(rows[first]) == len(rows[first - 1]) else []
+    if any(units) and all(re.fullmatch(UNIT, u, re.IGNORECASE) for u in units):  # such as (sec) and [m], some blank
         named = [f"{name} [{u.strip('[]()')}]" if u else name for name, u in zip(rows[first - 2], units, strict=True)]
         whole = [(top[first - 2][0], (mark or " ").join(named)) if pair == top[first - 2] else pair for pair in lines]
         return _tidied([pair for pair in whole if pair != top[first - 1]])
@@ -123,11 +124,6 @@ TELEGRAM, SCAN, ERRORS = "LMDscandata", "DIST1", 16  # Names of a telegram, of i
 SICK = "inferred: telegrams of SICK, whose 90 deg are ahead; seconds since the scanner's start"
 
 
-def _are_units(fields: Sequence[str]) -> bool:
-    """Whether the fields below names are their units, such as (sec) and [m], some of them blank."""
-    return any(fields) and all(re.fullmatch(UNIT, f, re.IGNORECASE) for f in fields)
-
-
 UNIT = (
     r"[\[(]?\s*(|-|%|[mun]?s|[mun]?sec|seconds?|[cmk]?m|met(er|re)s?|(deg|degrees?|°|rad|radians?|[cmk]?m|g)"
     r"(/s(\^?2|²|/s)?)?|km/h|hz|ticks?|counts?|n/?a)\s*[\])]?"
@@ -152,7 +148,7 @@ def numbered_rows(text: str) -> list[tuple[int, str]]:
         return [(i, line.strip(" \t,[]()")) for i, line in lines]
     if pairs := _pairs(lines):
         return pairs
-    if not re.fullmatch(r"[A-Za-z_]\w*:\s*", first) or not any(line.rstrip() == "---" for _, line in lines):
+    if not re.fullmatch(r"[A-Za-z_]\w*:(\s+\S+)?\s*", first) or not any(line.rstrip() == "---" for _, line in lines):
         return lines
     messages: list[tuple[int, dict[str, str]]] = [(0, {})]
     path: list[tuple[int, str]] = []

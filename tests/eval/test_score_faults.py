@@ -153,11 +153,9 @@ def test_kitti_is_in_a_cameras_axes_and_of_the_same_length(scored, tmp_path):
     estimate = kitti([(x, z + 5.0) for x, z in PLACES])
     values, asked, said = scored(estimate, kitti(PLACES), "--times", "DIR/times.txt")
     assert values["rmse_position_m"] == pytest.approx(5.0)
-    assert "a camera's axes" in said
-    assert not asked
+    assert ("a camera's axes" in said, asked) == (True, [])
     error = scored(kitti(PLACES[:-1]), kitti(PLACES), status=2)
-    assert "4 poses without stamps, and 5 of" in error
-    assert "--times estimate=FILE" in error
+    assert re.search("4 poses without stamps, and 5 of .* --times estimate=FILE", error)
 
 
 @pytest.mark.parametrize("stamped", ["neither", "truth", "estimate"])
@@ -166,9 +164,7 @@ def test_kitti_without_stamps_is_matched_row_by_row(stamped, scored):
     of_robot = [(z, -x) for x, z in PLACES]
     estimate = tum([(z, -x) for x, z in height]) if stamped == "estimate" else kitti(height)
     values, asked, said = scored(estimate, tum(of_robot) if stamped == "truth" else kitti(PLACES))
-    assert values["rmse_position_m"] == pytest.approx(1.0)
-    assert values["matched"] == len(PLACES)
-    assert not asked
+    assert (values["rmse_position_m"], values["matched"], asked) == (pytest.approx(1.0), len(PLACES), [])
     assert "without stamps" in said or stamped == "truth"
 
 
@@ -199,8 +195,7 @@ def test_degrees_in_both_files_are_inferred_and_many_turns_in_rad_are_none(score
     h = [math.degrees(0.05 * k) + 90.0 for k in range(100)]
     values, asked, said = scored(headed(h, way), headed([a + 1 for a in h], way))
     assert values["rmse_heading_deg"] == pytest.approx(1.0)
-    assert not asked
-    assert "inferred: headings are in degrees" in said
+    assert ("inferred: headings are in degrees" in said, asked) == (True, [])
     h = [0.05 * k * 10 for k in range(100)]
     way = [(math.cos(v), math.sin(v)) for v in h]
     assert not scored(headed(h, way), headed(h, way))[1]
@@ -239,8 +234,7 @@ def test_covariances_of_the_truth_alone_are_a_question_and_a_truth_that_tips_ove
     _, (asked,), _ = scored(tum(CURVE), full)
     assert "swapped" in asked
     values, asked, _ = scored(full, tum(CURVE))
-    assert values["nees_pose"] == 0.0
-    assert not asked
+    assert (values["nees_pose"], asked) == (0.0, [])
     tips = [(math.sin(0.1 * k) * math.sqrt(0.5), math.cos(0.1 * k)) for k in range(len(CURVE))]
     truth = lines((k, x, y, 0, s, s, 0, c) for k, ((x, y), (s, c)) in enumerate(zip(CURVE, tips)))
     assert "no turn of axes explains" in scored(tum(CURVE), truth)[2]

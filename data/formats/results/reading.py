@@ -117,6 +117,8 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
     entry, sides = _by_number(names), _sided(names) if manner.rows else names
     each = (entry.get(name, side) for name, side in zip(names, sides, strict=True))
     read, place, earth = [*map(cache(role_of), each)], {}, {"lat", "lon"}  # most names of a wide row are blank
+    if {*"wxyz"} <= {*names} and [role for role, _ in read].count("x") == 2:  # beside pos_x a quaternion
+        read = [(f"q{name}", "") if name in tuple("wxyz") else its for name, its in zip(names, read, strict=True)]
     for role, name in manner.columns.items():
         number = int(name) - 1 if name.isdecimal() else -1
         if name not in names and not 0 <= number < len(names):
