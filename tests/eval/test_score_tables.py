@@ -83,7 +83,7 @@ def test_columns_that_may_be_anything_are_to_be_named(scored):
 
 @pytest.mark.parametrize(("own", "true"), [
     (("x_est", "y_est"), ("x_gt", "y_gt")), (("ekf_x", "ekf_y"), ("true_x", "true_y")),
-    (("x", "y"), ("xTrue", "yTrue")),
+    (("x", "y"), ("xTrue", "yTrue")), (("xest", "yest"), ("xgt", "ygt")),
 ])  # fmt: skip
 def test_an_estimate_and_its_truth_in_one_row(scored, own, true):
     """The only heading, of the estimate, is not the truth's."""

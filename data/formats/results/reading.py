@@ -51,6 +51,7 @@ AXES = PLACE | TURN | {*"xyzw", *ANGLES}  # Words of the columns of one path, be
 AXIS, PAIRED = "|".join(("x", "y", "z", *YAW)), "|".join(("x", "y", "t", *YAW))
 SPREAD = "(cov|covariance|var|variance|std|stddev|stdev|sd|sigma)"
 SPREADS = r"(?<![A-Za-z])(?i:cov|var(?!io)|sigma|std)|Cov|Var|Sigma|Std"  # begin a word that may name one
+GLUED = r"(?<![a-z])([xyz]|th|theta|yaw)(odom?|gt|est|true|hat|ekf)(?![a-z])"  # xodo, thgt
 KNOWN_UNITS = {*DIGITS, *LENGTH, *TURNS}
 GROUPS = {"p": ("x", "y", "z"), "q": ("qx", "qy", "qz", "qw"), "v": ("vx", "vy", "vz")}
 """Names of several columns each, as in `# timestamp(s) q p v bg ba` of OpenVINS' states."""
@@ -288,7 +289,8 @@ def words_of(name: str) -> tuple[list[str], str]:
     unit = ""
     if found := re.fullmatch(r"(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]\W*", name):
         name, unit = found[1], _unit(found[2]) or found[2].strip()
-    words = [w for w in re.split(r"[^a-z0-9µ°]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()) if w]
+    parted = re.sub(GLUED, r"\1_\2", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower())
+    words = [w for w in re.split(r"[^a-z0-9µ°]+", parted) if w]
     if len(words) > 1 and words[-1] not in STAMPS | set("xyzwt") and (_unit(words[-1]) or words[-1] in RATES):
         words, unit = words[:-1], unit or _unit(words[-1]) or words[-1]
     return words, unit
