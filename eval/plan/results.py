@@ -88,9 +88,9 @@ def phase_of(path: Path) -> str:
 
 def manner_of(name: str, names: Sequence[str], reading: Matching) -> Manner:
     """How a result or the truth is read; a value with `NAME=` overrides one for all."""
-    units = _of_file("--unit", _units(names, reading), name, names, (*UNITS, *AXES))
+    units = _of_file("--unit", _units(names, reading), name, names, (*UNITS, *"xyz"))
     stamps, angles = units.get("time"), units.get("angle")
-    lengths = {axis: text for axis in AXES if (text := units.get(axis, units.get("length")))}
+    lengths = {axis: text for axis in "xyz" if (text := units.get(axis, units.get("length")))}
     of = _of_file("--columns", pairs(list(getattr(reading, "columns", ())), "columns"), name, names, KEYS)
     columns = {role.replace("theta", "yaw"): column for role, column in of.items()}
     fixed = {role: float(c) for role, c in columns.items() if is_number(c) and not (c.isdecimal() and int(c))}
@@ -121,7 +121,7 @@ def _units(names: Sequence[str], reading: Matching) -> dict[str, str]:
         kind = next(kind for kind, units in UNITS.items() if bare in units)
         who, _, what = key.rpartition(".")
         who, what = (who, what) if what in (*KEYS, *UNITS) and key not in names else (key, kind)
-        of = f"{who}.{what if what in AXES else kind}"
+        of = f"{who}.{what if what in tuple('xyz') else kind}"
         if found.setdefault(of, unit) != unit:
             raise UsageError(f"--unit {text}: given twice for one result; write NAME=... for each")
     return found
@@ -138,7 +138,6 @@ def _of_file(flag: str, stated: dict[str, str], name: str, names: Sequence[str],
     return found[""] | found[name]
 
 
-AXES = ("x", "y", "z")
 KEYS = ("t", "x", "y", "z", "lat", "lon", "alt", "theta", "roll", "pitch", "qx", "qy", "qz", "qw")
 
 

@@ -235,8 +235,7 @@ def test_quaternions_by_name_are_scaled_and_numbers_of_rows_are_no_stamps(scored
     flipped = [np.cos(0.5 * TURN) * (T > 0.0), 1.0 * (T == 0.0), 0 * T, np.sin(0.5 * TURN)]
     first = table(dict(zip(["t", "x", "y", "q_1", "q_2", "q_3", "q_4"], [T, *MINE.T[:2], *flipped], strict=True)))
     assert scored(first, table(WHOLE))["rmse_heading_deg"] == pytest.approx(0.0, abs=1e-6)
-    z, w = np.sin(0.5 * TURN), np.cos(0.5 * TURN)
-    bare = {"sec": T, "pos_x": MINE[:, 0], "pos_y": MINE[:, 1], "w": w, "x": 0 * T, "y": 0 * T, "z": z}
+    bare = {"sec": T, "pos_x": MINE[:, 0], "pos_y": MINE[:, 1], "w": q["qw"], "x": 0 * T, "y": 0 * T, "z": q["qz"]}
     assert scored(table(bare), table(WHOLE))["rmse_heading_deg"] == pytest.approx(0.0, abs=1e-6)
     rows = zip(*(column.tolist() for column in bare.values()), strict=True)
     form = "timestamp: {}\nposition:\n- {}\n- {}\n- 0.0\nq:\n- {}\n- {}\n- {}\n- {}\n---"  # as of px4

@@ -136,7 +136,8 @@ def _places(file: GraphFile) -> dict[int, tuple[bool, int]]:
     for edge in file.edges:
         for key, number, kind in zip(ends(file, edge), edge.ends, file.kind(edge), strict=True):
             mine = kind in (POINT2, POINT3), number
-            if out.setdefault(key, mine) != mine:
+            posed = edge.tag == RANGE and mine[0] and number in file.poses and number not in file.points
+            if out.setdefault(key, mine) != mine or posed:
                 what = f"{edge.tag}: {number} is the key of a pose and of a point (no range is read between poses)"
                 raise DataError.at(file.path, what, line=edge.line)
     return out

@@ -77,8 +77,9 @@ def test_an_id_beyond_them_and_a_pose_and_a_point_of_one_key_are_named(plain, tm
         graph_file_of(tmp_path / "g.g2o", "\n".join(lines_of(*plain, 2**63)))
     big = 2**60
     text = f"EDGE_SE2_XY 0 {big} 1 1 1 0 1\nEDGE_SE2 0 {big} 1 0 0 1 0 0 1 0 1"
-    with pytest.raises(DataError, match=f"{big} is the key of a pose and of a point"):
-        build(graph_file_of(tmp_path / "g.g2o", text))
+    for key, lines in ((big, [text]), (2, [*lines_of(*plain), "EDGE_RANGE 0 2 1.5 100"])):
+        with pytest.raises(DataError, match=f"{key} is the key of a pose and of a point .no range is read between"):
+            build(graph_file_of(tmp_path / "g.g2o", "\n".join(lines)))
     assert str(2**63 + 12) in solved(*circle(key=lambda k: 2**63 + k)).words()  # of no character that can be printed
 
 
