@@ -106,8 +106,9 @@ def scored(file: str, truth: str, reading: Scoring) -> Scored:
         w_first = replace(reading, columns=(",".join(f"{who}.{role}={k}" for k, role in enumerate(EUROC, 1)),))
         with suppress(DataError):
             both = found, _scored(file, truth, w_first)
-            off = [columns_in_space(s.run.space[s.phase]).get("rmse_rotation_3d_se3_deg", math.inf) for s in both]
-            if off[1] < off[0] / OTHER_FRAME:
+            each = [columns_in_space(s.run.space[s.phase]) for s in both]
+            off = [columns.get("rmse_rotation_3d_se3_deg", math.nan) for columns in each]
+            if off[1] < off[0] / OTHER_FRAME and each[1]["rmse_position_3d_m"] == each[0]["rmse_position_3d_m"]:
                 told = (sentence(notice(Code.QUATERNION_ORDER, file=name, stated=off[0], fits=off[1])),)
                 found, reading = both[1], w_first
                 break

@@ -67,7 +67,7 @@ def test_alignment_is_only_done_if_asked(made, capsys):
 @pytest.mark.parametrize(("files", "wanted"), [
     (["a"], "1 file without --truth: type ESTIMATE TRUTH"), (["a", "b", "c"], "3 files without --truth"),
     (["a", "b", "c", "--truth", "d", "e"], "2 truths for 3 estimates"),
-    (["a", "b", "--align", "zzz"], "--align 'zzz': unknown; known: none, first, se2, se3, sim3, yaw"),
+    (["a", "b", "--align", "zzz"], "--align 'zzz': unknown; known: none, first, shift, se2, se3, sim3, yaw"),
     (["/nowhere/a.tum", "/nowhere/b.tum"], "no such"),
 ])  # fmt: skip
 def test_what_makes_no_sense_is_one_line_and_status_2(files, wanted, refused):

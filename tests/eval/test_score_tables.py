@@ -137,8 +137,8 @@ def test_of_stamps_those_count_that_tell_rows_apart_others_are_numbers_of_rows_o
 
 def test_units_of_flags_have_factors_and_signs_count_more_than_names_and_a_coordinate_may_be_one_number(scored):
     """Seen: a header of cm above metres; a phone on a stage whose x is reversed, in 0.01 mm."""
-    mine = {"Frame": np.arange(60.0), "x(cm):": -1e5 * MINE[:, 0], "y": MINE[:, 1], "psi_deg": 90.0 - np.degrees(TURN)}
-    units = "--columns estimate.t=Frame --unit estimate.t=0.2s,estimate.x=-0.01mm,estimate.theta=compass"
+    mine = {"T(min)": T / 0.2, "x(cm):": -1e5 * MINE[:, 0], "y": MINE[:, 1], "psi_deg": 90.0 - np.degrees(TURN)}
+    units = "--columns estimate.t=1 --unit estimate.t=0.2s,estimate.x=-0.01mm,estimate.theta=compass"
     values = scored(table(mine), table(WHOLE | {"x": TRUE[:, 0]}), flags=units.split())
     assert (values["rmse_position_m"], values["rmse_heading_deg"]) == pytest.approx((0.1, 0.0), abs=1e-6)
     assert "given twice" in scored(table(WHOLE), table(WHOLE), flags=("--unit", "mm,cm"), wrong=True)

@@ -179,8 +179,8 @@ def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, i
         some = [j for j in some if (side[j] == side[k] if side[j] else not beside)]
         place |= dict.fromkeys([role] * (len(some) == 1), *some[:1])
     stated = {role: words_of(names[j])[1] if role in manner.columns else read[j][1] for role, j in place.items()}
-    flags = manner.lengths, {} if manner.angles is None else TURNS  # which count more than names
-    unit = {role: its for role, its in stated.items() if its and role[-1] not in flags[0] and its not in flags[1]}
+    flags = {*([] if manner.angles is None else TURNS), *([] if manner.stamps is None else (*DIGITS, "min", "h"))}
+    unit = {role: its for role, its in stated.items() if its and role[-1] not in manner.lengths and its not in flags}
     unread = tuple(name for j, name in enumerate(names) if name and j not in place.values())
     if "nanoseconds" in place and "t" not in place:
         place["t"], unit["t"] = place.pop("nanoseconds"), "ns"

@@ -89,8 +89,7 @@ def poses(path: Spatial) -> Poses:
 
 def in_plane(pose: Array) -> Poses:
     """Poses (n, 3) of the plane in space."""
-    turn = se3.exp_rotation(np.nan_to_num(pose[:, 2:]) * [0.0, 0.0, 1.0])
-    turn[~np.isfinite(pose[:, 2])] = np.nan
+    turn = se3.exp_rotation(pose[:, 2:] * [0.0, 0.0, 1.0])
     return Poses(np.column_stack([pose[:, :2], 0.0 * pose[:, 0]]), turn)
 
 
