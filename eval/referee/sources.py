@@ -190,6 +190,7 @@ def _notices(s: SourceScore, *, unused: bool) -> Iterator[Notice]:
 
 
 ENTRIES = ("x", "y", "theta")
+PARTS = (*ENTRIES, "lever", "lever_x", "lever_y", "offset", "latency", "scale")  # behind a source's name
 UNUSUAL = 1e-5  # probability of a larger squared residual, from which a measurement is an outlier
 
 
@@ -201,7 +202,8 @@ def key_of(source: Source) -> str:
 def source_in(component: str) -> str | None:
     """The name of the source of a component or error; None: it is of odometry or observations."""
     _, colon, rest = component.partition(":")
-    return (rest.rpartition("/")[0] or rest) if colon else None
+    before, _, last = rest.rpartition("/")
+    return None if not colon else before if last in PARTS else rest
 
 
 def entries_of(source: Source) -> tuple[int, ...]:

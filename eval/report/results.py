@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from data.command import stretch
-from data.errors import DataError
+from data.errors import DataError, UsageError
 from data.formats.messages import parts_of
 from data.formats.recordings.ros import file_and_topic, is_bag
 from data.formats.results.lines import EUROC
@@ -104,7 +104,7 @@ def scored(file: str, truth: str, reading: Scoring) -> Scored:
     doubted = any(n.code in (Code.PATH_TILT, Code.PATH_QUATERNIONS) for n in found.run.notes) and not reading.columns
     for who, name in ((ESTIMATE, file), (TRUTH, truth)) if doubted and found.run.space else ():
         w_first = replace(reading, columns=(",".join(f"{who}.{role}={k}" for k, role in enumerate(EUROC, 1)),))
-        with suppress(DataError):
+        with suppress(DataError, UsageError):  # a flag of covariances, which are not read then
             both = found, _scored(file, truth, w_first)
             each = [columns_in_space(s.run.space[s.phase]) for s in both]
             off = [columns.get("rmse_rotation_3d_se3_deg", math.nan) for columns in each]

@@ -525,6 +525,8 @@ def test_quaternions_with_w_first_are_told_in_either_file(which, scored):
     assert len(asked) == {"estimate": 0, "truth": 0, "both": 2}[which]
     assert which == "both" or (values["rmse_rotation_3d_deg"] < 1e-6 and "inferred: quaternions of" in said)
     assert all("begin with w" in text for text in asked)
+    known = np.column_stack([files[0], np.tile(np.eye(6)[np.tril_indices(6)], (len(half), 1))])
+    scored(lines(known), lines(files[1]), "--cov-frame", "mixed")  # seen: "has no covariance"
 
 
 def test_flat_poses_of_a_robot_as_matrices_are_told_in_either_file(scored):

@@ -635,6 +635,7 @@ def _close(done: Updated, nis: float, likelihood: float, white: Array) -> bool:
 
 SIGNATURES = "one of (prior, sensor, options) does SLAM, of (prior, sensor, map, options) localization"
 VERBS = ("predict", "update", "estimate")  # required methods
+OF_VERBS = f"with {', '.join(VERBS)} (docs/extending.md); of one with other states or sensors, slamref score many runs"
 
 
 class CannotError(Exception):
@@ -652,7 +653,7 @@ def tasks_of(loaded: Loaded) -> tuple[str, ...]:
     """Tasks by its attribute `tasks`, else by its constructor. UsageError: neither, or a required method is absent."""
     missing = [v for v in VERBS if isinstance(loaded.thing, type) and not callable(getattr(loaded.thing, v, None))]
     if missing:
-        raise UsageError(f"{loaded.name}: no method {missing[0]!r}; an estimator has {', '.join(VERBS)} at least")
+        raise UsageError(f"{loaded.name}: no method {missing[0]!r}; an estimator is a class {OF_VERBS}")
     stated: Any = getattr(loaded.thing, "tasks", None)
     if stated is not None:
         tasks = (stated,) if isinstance(stated, str) else tuple(stated)
@@ -719,8 +720,9 @@ class Method:
         try:
             inspect.signature(self._function).bind(None, None)
         except TypeError:
-            other = f"takes {inspect.signature(self._function)}; an association method takes (expectation, gate)"
-            raise ForeignError(f"{self.name} {other}, an estimator is a class; see docs/extending.md") from None
+            takes = inspect.signature(self._function) if callable(self._function) else "no call"
+            other = f"takes {takes}; an association method takes (expectation, gate)"
+            raise ForeignError(f"{self.name} {other}, an estimator is a class {OF_VERBS}") from None
         except ValueError:  # compiled, without a signature
             return
 

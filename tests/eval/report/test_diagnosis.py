@@ -363,7 +363,7 @@ def test_a_log_with_truth_is_told_on_the_first_page_only_what_twins_say():
 @pytest.mark.parametrize(("name", "words", "factor"), [
     ("nis_position:gps", "NIS per degree of freedom of position fixes of gps", 1.0),
     ("largest_closure:loops", "largest NIS of closures of loops", 1.0),
-    ("innovation_heading:my_compass_lag1", "innovations of headings of my_compass", 1.0),
+    ("innovation_heading:imu/compass_lag1", "innovations of headings of imu/compass", 1.0),
     ("residual_closure:loops/theta_spread", "heading of the closures of loops, spread [σ]", 1.0),
     ("slope_position:gps/lever_x", "a source of position fixes of gps ahead of or behind its stated place [m]", 1.0),
     ("slope_heading:compass/theta", "a rotation of headings of compass [°]", 180.0 / math.pi),

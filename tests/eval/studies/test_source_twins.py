@@ -110,6 +110,6 @@ def test_outliers_are_counted_and_their_source_is_named(option, key, named):
 
 def test_components_of_sources_are_told_from_all_others():
     assert source_in("position:gps/lever_x") == "gps"
-    assert source_in("heading:my_compass") == "my_compass"
+    assert source_in("heading:imu/my_compass") == "imu/my_compass"
     assert source_in("odometry_x_distance") is None
     assert source_in("z1") is None

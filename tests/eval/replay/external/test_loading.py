@@ -38,9 +38,10 @@ def test_what_cannot_be_loaded_is_said_in_one_line(write, code, attribute, words
     assert "\n" not in str(fault.value)
 
 
-def test_a_function_of_other_arguments_is_no_association_method(write):
-    with pytest.raises(ForeignError, match=r"n takes \(x, P, z\); an association method takes \(expectation, gate\)"):
-        Method(load(write("def F(x, P, z): ...")))
+@pytest.mark.parametrize(("code", "takes"), [("def F(x, P, z): ...", r"\(x, P, z\)"), ("class F: ...", "no call")])
+def test_a_function_of_other_arguments_or_an_object_is_no_association_method(write, code, takes):
+    with pytest.raises(ForeignError, match=rf"n takes {takes}; an association method takes \(expectation, gate\)"):
+        Method(load(write(code)))
 
 
 def test_a_module_that_is_not_there_is_said_with_where_it_was_looked_for(write, tmp_path):
@@ -88,7 +89,7 @@ def test_the_constructor_says_which_tasks_it_does_or_an_attribute(write, head, t
 @pytest.mark.parametrize(("code", "words"), [
     (f"class F:\n    def __init__(self, prior): ...{METHODS}", r"takes \(prior\); one of \(prior, sensor, options\)"),
     (f"class F:\n    tasks = ('fly',){METHODS}", r"n.tasks is \('fly',\); some of localization, slam are needed"),
-    ("class F:\n    def predict(self): ...", "no method 'update'; an estimator has predict, update, estimate"),
+    ("class F:\n    def predict(self): ...", "no method 'update'; an estimator is a class with predict"),
 ])  # fmt: skip
 def test_what_is_no_estimator_is_said_with_what_one_is(write, code, words):
     with pytest.raises(UsageError, match=words):
