@@ -61,6 +61,7 @@ class Code(StrEnum):
     ASSUMED_NOISE = "assumed-noise", INFO
     DECIDED_BY = "decided-by", INFO
     BEGAN_ASTRAY = "began-astray", WARNING
+    OBSERVATIONS_UNUSED = "observations-unused", WARNING
     OUT_OF_NODES = "out-of-nodes", WARNING
     NO_COVARIANCE = "no-covariance", INFO
     NO_LANDMARKS = "no-landmarks", INFO

@@ -83,6 +83,8 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run], eno
         found = result.map if inputs.map is None else map_with(inputs.map, result.map)
         state = map_estimate(found, inputs.observations.frame, final, initialized)
         if inputs.map is None and inputs.several_or_partial and front.map is not None:
+            if unused := int((np.where(initialized >= 0, initialized, final) < 0).sum()):
+                notes.append(notice(Code.OBSERVATIONS_UNUSED, observations=unused, of=len(final)))
             _, mine, theirs = np.intersect1d(state.number, front.map.number, return_indices=True)
             apart = front.map.xy[theirs] - state.xy[mine]
             weight = np.linalg.pinv(np.nan_to_num(front.map.covariance[theirs]))

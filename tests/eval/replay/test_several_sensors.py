@@ -95,8 +95,9 @@ def test_landmarks_of_ranges_begin_where_all_of_them_meet():
     assert np.abs(start.landmark - log.recorded.map.xy[12:]).max() < 0.6
     fronts = [step_by_step("ekf", inputs := log.inputs(labels=True).without_map(), "slam")]
     fronts.append(replace(fronts[0], map=replace(fronts[0].map, xy=fronts[0].map.xy + 5.0)))
+    fronts.append(replace(fronts[0], final_decisions=np.append(fronts[0].final_decisions[:-1], -2)))
     notes = [[n.code.value for n in batch("batch", inputs, front).notes] for front in fronts]
-    assert notes == [["decided-by"], ["decided-by", "began-astray"]]
+    assert notes == [["decided-by", *more] for more in ([], ["began-astray"], ["observations-unused"])]
 
 
 @pytest.mark.parametrize(("name", "method"), [("ekf", "nn"), ("ekf", "jcbb"), slow("ekf", "gnn"), ("isam2", "jcbb")])
