@@ -15,7 +15,7 @@ from data.errors import UsageError
 from data.log import Log
 from eval.compare import compare
 from eval.judgement.causes import Terms, terms_of
-from eval.plan.diagnoses import trusted
+from eval.plan.execute import trusted
 from eval.plan.experiment import Experiment, Unfinished, Work
 from eval.plan.flags.table import TWINS, Execution, Options, Output, Scoring, Study as Simulated
 from eval.plan.work import Job, work

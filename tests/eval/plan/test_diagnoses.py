@@ -53,7 +53,7 @@ def test_a_log_that_nobody_measured_names_its_fault(outcome):
 @pytest.mark.slow
 def test_what_is_kept_is_not_done_again_and_the_numbers_are_the_same(outcome, unmeasured, monkeypatch):
     out, done = outcome
-    monkeypatch.setattr("eval.plan.diagnoses.one_twin", None)
+    monkeypatch.setattr("eval.plan.execute.one_twin", None)
     again = run(unmeasured, out, "--estimator", "ekf,isam2,batch", "--twins", "19")
     assert trust_table(again.trust).to_csv() == trust_table(done.trust).to_csv()
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from data.truth import Truth
 from eval.compare import compare
 from eval.judgement.judgement import judge
-from eval.plan.diagnoses import trusted
+from eval.plan.execute import trusted
 from eval.plan.experiment import Experiment, Unfinished, Work
 from eval.plan.flags.table import Execution, Options, Output, Study
 from eval.referee.attribution import CONTRADICTED, NOTHING, UNLISTED, Finding
