@@ -11,9 +11,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from data.result import Innovations
-from eval.figures.claims import anees_figure, claims_figure, nees_figure, outlier_figure
+from eval.figures.claims import anees_figure, claims_figure, growth_figure, nees_figure, outlier_figure
 from eval.figures.error import difference_figure, error_figure
-from eval.figures.growth import growth_figure
 from eval.figures.map import log_figure, map_figure
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
 from wings.laser.report import loop_picture
