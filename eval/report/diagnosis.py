@@ -1,4 +1,4 @@
-"""The report's sections "Diagnosis without ground truth": facts, words and table of statistics of a log."""
+"""The report's sections "Diagnosis without ground truth", on systematic errors, and on fixes and closures by source."""
 
 import math
 from collections.abc import Sequence
@@ -9,18 +9,20 @@ import numpy as np
 import pandas as pd
 
 from data.inputs import ERRORS, Systematic
+from data.notice import Notice
 from data.result import Run, Systematics
 from data.se2 import Array
 from data.truth import Truth
 from eval.figures.kinds import calibrated
 from eval.judgement import causes
 from eval.plan.flags.table import Output
-from eval.referee import battery
-from eval.referee.score import Trial
+from eval.referee import battery, result_files
+from eval.referee.result_files import rows_of, value_of
+from eval.referee.score import Scores, Trial
 from eval.replay.settings import BATCH, FILTERS, associations
 from eval.report.page.blocks import Block, Picture, Section, folded
-from eval.report.page.files import SYSTEMATIC, drop_blank_columns, number, stem, written_table
-from eval.report.words import fine_print, plus_minus, say
+from eval.report.page.files import HEADS, SYSTEMATIC, drop_blank_columns, interval, number, stem, written_table
+from eval.report.words import fine_print, of_runs, paragraph, plus_minus, say
 from eval.studies.diagnosis import SHARES, Row, Trust
 
 MOST = 18  # rows of a table; trust.csv has all
@@ -258,3 +260,39 @@ def estimated(trial: Trial, runs: Sequence[Run]) -> dict[str, Any]:
     untold = tuple(n for n, known in zip(systematic.names, told, strict=True) if not known)
     why = trial.log.origins["systematic_errors"]
     return {"names": systematic.names, "why": why, "judged": estimates is not None, "untold": untold}
+
+
+COLUMNS: dict[str, str] = HEADS["sources"]
+"""Columns of sources.csv (or made here) and their heads."""
+
+
+def source_facts(scores: Scores, log: str, task: str) -> list[result_files.Row]:
+    """The rows of sources.csv of a log and task."""
+    return [r for r in rows_of(scores.sources) if (r["log"], r["task"]) == (log, task)]
+
+
+def main_sources(found: Sequence[result_files.Row]) -> list[result_files.Row]:
+    """Each source once: as the first filter took it online, else as the first run that used it, else as not used."""
+    order = sorted(found, key=lambda s: (s["used"] == 0, s["phase"] != "online", s["estimator"] not in FILTERS))
+    first = {(s["source"], s["kind"]): s for s in reversed(order)}
+    return [first[key] for key in dict.fromkeys((s["source"], s["kind"]) for s in found)]
+
+
+def source_lines(found: Sequence[result_files.Row]) -> list[str]:
+    """The lines of the terminal, one for each source."""
+    return [paragraph("sources#line", s=s) for s in main_sources(found)]
+
+
+def source_section(folder: Path, output: Output, trial: Trial, scores: Scores, said: Sequence[Notice]) -> list[Section]:
+    """Words and table on the sources of a log and task, with the notices about them; none where it has none."""
+    facts = source_facts(scores, trial.log.name, trial.task)
+    if not facts:
+        return []
+    where = f"{trial.log.name}, {trial.task}"
+    bounds = [(value_of(s, "nis_low"), value_of(s, "nis_high")) for s in facts]
+    made = [s | {"bounds": interval(*b) if math.isfinite(b[0]) else None} for s, b in zip(facts, bounds, strict=True)]
+    frame = drop_blank_columns(pd.DataFrame(made, dtype=object)[list(COLUMNS)].rename(columns=COLUMNS))
+    words = say("sources#about", sources=main_sources(facts), asking=of_runs(n for n in said if "source" in n.named))
+    caption = paragraph("sources#caption", where=where, truth=any(s["tp"] is not None for s in facts))
+    blocks = (words, written_table(frame, folder, stem(trial, "sources"), caption, output))
+    return [Section(f"Fixes and closures: {where}", blocks, 3, tuple(facts))]

@@ -20,13 +20,12 @@ from eval.referee.result_files import rows_of
 from eval.referee.score import Scores, Trial
 from eval.replay.settings import Setup
 from eval.report import comparison
-from eval.report.diagnosis import first_page_words, systematic_section, trust_section
+from eval.report.diagnosis import first_page_words, source_section, systematic_section, trust_section
 from eval.report.overview import gauge_statement, in_short
 from eval.report.page.blocks import Block, Folded, Picture, Section, Table
 from eval.report.page.files import stem, variants, written_table
 from eval.report.publish import films_of
 from eval.report.results import space_tables
-from eval.report.sources import source_section
 from eval.report.words import fine_print, of_runs, one_line, paragraph, say
 from eval.studies.diagnosis import Trust
 

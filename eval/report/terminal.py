@@ -13,8 +13,8 @@ from eval.judgement.runs import RunJudgement
 from eval.plan.execute import Outcome
 from eval.referee.consistency import CONSISTENT, FAMILY_LEVEL, LEVEL, MIN_RUNS
 from eval.referee.score import Scores, Trial
+from eval.report.diagnosis import source_facts, source_lines
 from eval.report.overview import trust_mark
-from eval.report.sources import source_facts, source_lines
 from eval.report.words import paragraph, say
 from eval.studies.montecarlo import Judged, Study, failed_declarations, judge_estimators
 

@@ -24,8 +24,8 @@ from eval.referee.score import Trial
 from eval.referee.truth_free import Statistic
 from eval.replay.run import compare
 from eval.report import diagnosis
+from eval.report.diagnosis import main_sources, source_lines
 from eval.report.page.blocks import Folded, Table
-from eval.report.sources import main_sources, source_lines
 from eval.report.words import distance, plus_minus, say
 from eval.studies.diagnosis import Blame, Row, Trust
 from eval.studies.sampled import Sample
