@@ -19,14 +19,13 @@ from data.wing import of_all
 from data.words import sentence, table_html
 from eval.referee import consistency, errors, result_files
 from eval.referee.confusion import WITHIN, Confusion, confuse, majority, majority_agreement, share_within
-from eval.referee.consistency import NEES_LIMITS, gated, nis_bounds
+from eval.referee.consistency import NEES_LIMITS, gated, mean_scores, nis_bounds
 from eval.referee.errors import Along, along, rpe_columns
 from eval.referee.given.in_space import plane_rmse
 from eval.referee.given.runs import GivenRun, log_of, match
 from eval.referee.intervals import SEED, difference_rows, intervals
 from eval.referee.lost import lost, unused
 from eval.referee.metrics import OF_DECISIONS, RUN
-from eval.referee.proper_scores import mean_scores
 from eval.referee.relations import relation_rows
 from eval.referee.sources import source_rows
 

@@ -16,10 +16,9 @@ from data import se3
 from data.formats.results.path import LEFT, LOCAL, MIXED, WORLD
 from data.formats.results.space import in_world
 from data.se2 import Array
-from eval.referee.consistency import mean_or_nan, squared_distance
+from eval.referee.consistency import crps, log_score, mean_or_nan, squared_distance
 from eval.referee.given import in_space
 from eval.referee.intervals import SEED, intervals
-from eval.referee.proper_scores import crps, log_score
 
 CONVENTIONS = {LOCAL: "left-invariant", LEFT: "right-invariant", WORLD: "decoupled", MIXED: "decoupled"}
 """Error whose covariance a file states, by the frame of the covariance."""

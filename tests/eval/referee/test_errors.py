@@ -12,7 +12,7 @@ from data.sensors import Line, RangeBearing
 from data.truth import Relations, Truth
 from data.worlds.arena import Arena, simulate
 from eval.referee import errors
-from eval.referee.proper_scores import crps, energy_score, log_score, mean_scores
+from eval.referee.consistency import crps, energy_score, log_score, mean_scores
 from eval.referee.relations import at_stamps, errors as of_relations, nearest_frames, relation_errors
 
 TRUTH = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]])
