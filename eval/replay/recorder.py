@@ -9,8 +9,7 @@ from data import result
 from data.inputs import Frame, Inputs, IntArray, Systematic
 from data.pose_measurements import Closures, Fixes
 from eval.replay.external.spec import name_of
-from eval.replay.frontend import FrontEnd, Pairing
-from eval.replay.poses import PoseRecords
+from eval.replay.frontend import FrontEnd, Pairing, PoseRecords
 from eval.replay.settings import BATCH, INCREMENTAL
 
 

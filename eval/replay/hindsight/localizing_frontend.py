@@ -29,11 +29,10 @@ from ekf.filter import FilterOptions
 from eval.replay.estimators import Estimator, capabilities, make_estimator, needed
 from eval.replay.external.adapter import OwnInnovations
 from eval.replay.external.spec import is_foreign
-from eval.replay.frontend import FrontEnd, Pairing
+from eval.replay.frontend import FrontEnd, Pairing, keep_frames
 from eval.replay.hindsight import constants, hypotheses
 from eval.replay.hindsight.hypotheses import Choice, Hypotheses
 from eval.replay.hindsight.relocalize import EMPTY, Place, Scan, extended, moved, relocalize
-from eval.replay.poses import keep_frames
 from eval.replay.settings import HINDSIGHT, Given, Setup
 
 

@@ -37,7 +37,7 @@ from data.sensors import Sensor
 from ekf.filter import FilterOptions
 from ekf.slam import EkfSlam
 from eval.replay.estimators import needed
-from eval.replay.frontend import FrontEnd, Pairing
+from eval.replay.frontend import FrontEnd, Pairing, keep_frames
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.duplicates import Duplicates
 from eval.replay.hindsight.gates import LearnedGates, clear, dense, pair, widest
@@ -46,7 +46,6 @@ from eval.replay.hindsight.noise import AS_STATED, Restated
 from eval.replay.hindsight.placement import Memory, Placed, drifted, place, too_uncertain
 from eval.replay.hindsight.relocalize import EMPTY, extended, moved, relocalize
 from eval.replay.hindsight.whole_log import Assumed, Smoothed, WholeLog
-from eval.replay.poses import keep_frames
 from eval.replay.settings import HINDSIGHT, Given, Setup
 
 Result = TypeVar("Result")

@@ -38,13 +38,12 @@ from data.result import DISCARD, MapState
 from data.se2 import Array, BoolArray
 from data.sensors import RELATIVE_POINT, Sensor
 from ekf.filter import FilterDivergedError
-from eval.replay.frontend import FrontEnd
+from eval.replay.frontend import FrontEnd, PoseRecords
 from eval.replay.hindsight import constants, opportunities
 from eval.replay.hindsight.final_association import Reassociation, distances, nis_left, noise_share, reassociate
 from eval.replay.hindsight.ledger import Record
 from eval.replay.hindsight.noise import Restated, with_shares
 from eval.replay.hindsight.opportunities import Detections, Kept, recounted, remaining
-from eval.replay.poses import PoseRecords
 from eval.replay.settings import Beginning, Given, Setup
 from graph.batch import end_of, smooth
 from graph.factors import UnderConstrained
