@@ -28,8 +28,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     from eval.replay.estimators import FOR_WALLS
     from eval.replay.external.spec import one_settled
     from eval.replay.settings import HINDSIGHT, Setup
-    from eval.studies.sampled import smoother_of
-    from eval.studies.twins import inputs_of, source_of, twin
+    from eval.studies.twins import inputs_of, smoother_of, source_of, twin
 
     compile_if_needed()
     log = open_log(options.log)

@@ -14,7 +14,7 @@ from eval.referee.score import Trial
 from eval.referee.sources import source_in
 from eval.replay.settings import ESTIMATORS, FILTERS, associations
 from eval.studies.diagnosis import Trust
-from eval.studies.sampled import PLAIN, STAND_IN
+from eval.studies.twins import PLAIN, STAND_IN
 
 STANDS_OUT = 3.0  # standard errors from which a slope is named without bootstrap replicates
 METRES, SECONDS, DRIFT, SPEED = ("m", 1.0), ("s", 1.0), ("rad/s", 1.0), ("m/s", 1.0)

@@ -33,8 +33,7 @@ from eval.referee.attribution import Finding, systematic_errors
 from eval.referee.effects import Effect
 from eval.referee.residuals import Used
 from eval.replay.settings import Setup
-from eval.studies.sampled import smoother_of
-from eval.studies.twins import inputs_of
+from eval.studies.twins import inputs_of, smoother_of
 
 WANDERS = 3.0  # standard errors of the correlation of neighbouring stretches; 1 in 700 logs without drift exceeds it
 FEWEST_DISTINGUISHED = 10  # fewest stretches for a correlation

@@ -21,11 +21,10 @@ from eval.plan.work import Job, cached, work
 from eval.referee.score import Trial
 from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.settings import FILTERS, Setup, steps
-from eval.studies import sampled, store
+from eval.studies import store, twins
 from eval.studies.diagnosis import FEWEST, Trust, judged, settled, slopes_p
 from eval.studies.montecarlo import Study, one_run, published_rows, study_of
-from eval.studies.sampled import Sample, one_twin, sample_of, smoother_of
-from eval.studies.twins import Source, digest_of, inputs_of, source_of
+from eval.studies.twins import Sample, Source, digest_of, inputs_of, one_twin, sample_of, smoother_of, source_of
 
 
 @dataclass(frozen=True)
@@ -226,7 +225,7 @@ def _with_twins(
             for i, (source, folder) in sources.items() if not (before and settled(real[i][1], own(i), slopes[i]))
             for seed in seeds[before:upto]
         ]  # fmt: skip
-        kept |= cached(jobs, sampled.load, sampled.save, options.execution, missing, progress)
+        kept |= cached(jobs, twins.load, twins.save, options.execution, missing, progress)
     judgements = []
     for i, (group, sample, smoother) in enumerate(real):
         judgements.append(Job(i, judged, (group.log, group.task, name_of(group.association), sample, own(i), smoother)))

@@ -31,8 +31,7 @@ from eval.referee.sources import has_sources, of_sources
 from eval.referee.truth_free import Key, Statistic
 from eval.replay.batch import batch
 from eval.replay.settings import Setup
-from eval.studies.sampled import PLAIN, STAND_IN, Sample
-from eval.studies.twins import inputs_of, source_of, twin
+from eval.studies.twins import PLAIN, STAND_IN, Sample, inputs_of, source_of, twin
 from graph.qr.score_test import evidence
 
 SHARES = ("semidefinite", "inside_x", "inside_y", "inside_theta")

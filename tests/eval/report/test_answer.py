@@ -15,7 +15,7 @@ from eval.report.log_sections import answer
 from eval.report.terminal import Group, lines
 from eval.report.words import environment, one_line, paragraph
 from eval.studies.diagnosis import Trust
-from eval.studies.sampled import Sample
+from eval.studies.twins import Sample
 from tests.eval.judged import judgement, run_of
 
 FILTER = {

@@ -28,7 +28,7 @@ from eval.report.diagnosis import main_sources, source_lines
 from eval.report.page.blocks import Folded, Table
 from eval.report.words import distance, plus_minus, say
 from eval.studies.diagnosis import Blame, Row, Trust
-from eval.studies.sampled import Sample
+from eval.studies.twins import Sample
 from tests.builders import logs
 from tests.eval.handmade import LANDMARKS, circle_log, run_with_error, true_path
 

@@ -32,7 +32,7 @@ from eval.report.page.blocks import Value
 from eval.report.terminal import trust_line
 from eval.run_all import main
 from eval.studies.diagnosis import Blame, Trust, noiseless
-from eval.studies.sampled import Sample
+from eval.studies.twins import Sample
 from tests.builders import logs
 from tests.eval.judged import BLIND, LOG, judgement
 

@@ -12,9 +12,8 @@ from eval.referee import attribution
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 from eval.studies.diagnosis import SHARES, _head_first, judged, settled
-from eval.studies.sampled import one_twin, sample_of, smoother_of
 from eval.studies.scenario import with_wrong_labels
-from eval.studies.twins import inputs_of, source_of
+from eval.studies.twins import inputs_of, one_twin, sample_of, smoother_of, source_of
 
 
 def around(mean, spread=0.1, n=40):

@@ -17,9 +17,8 @@ from data.truth import Truth
 from eval.referee.errors import observed
 from eval.replay.run import compare
 from eval.replay.settings import Setup
-from eval.studies import sampled
-from eval.studies.sampled import one_twin, smoother_of
-from eval.studies.twins import digest_of, inputs_of, source_of, twin
+from eval.studies import twins
+from eval.studies.twins import digest_of, inputs_of, one_twin, smoother_of, source_of, twin
 from eval.twin import main
 
 
@@ -97,11 +96,11 @@ def test_the_digest_changes_with_whatever_a_twin_depends_on(source):
 def test_a_sample_that_was_kept_comes_back_and_a_damaged_one_does_not(source, tmp_path):
     sample = one_twin(source, 3)
     file = tmp_path / "3.json"
-    sampled.save(file, sample)
-    assert repr(sampled.load(file)) == repr(sample)
+    twins.save(file, sample)
+    assert repr(twins.load(file)) == repr(sample)
     file.write_bytes(file.read_bytes()[:-20])
-    assert sampled.load(file) is None
-    assert sampled.load(tmp_path / "4.json") is None
+    assert twins.load(file) is None
+    assert twins.load(tmp_path / "4.json") is None
 
 
 @pytest.fixture(scope="module")
