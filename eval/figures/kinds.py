@@ -37,7 +37,7 @@ class Kind:
     place: str = SECTION
 
 
-MODULES = ("association", "claims", "error", "map")  # of this folder, which draw logs
+MODULES = ("claims", "error", "map")  # of this folder, which draw logs
 KINDS: dict[str, Kind] = {}  # kinds of figures by name; the modules enter theirs when they are imported
 Drawn = Callable[[Trial, Variants], "tuple[Figure, Facts]"]
 

@@ -6,8 +6,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from eval.figures.association import OUTCOME_COLOURS, bars, confusion_figure
 from eval.figures.claims import closing_frame, growth_figure
+from eval.figures.error import OUTCOME_COLOURS, bars, confusion_figure
 from eval.figures.figure_style import PHONE, USUAL, figure_style
 from eval.figures.style import settle
 from eval.referee.score import Trial

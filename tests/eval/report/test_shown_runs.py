@@ -11,9 +11,8 @@ from data.logs import open_log
 from data.notice import stopped
 from data.result import Failure, Systematics
 from data.truth import Truth
-from eval.figures.association import has_outcomes
 from eval.figures.claims import growing as for_growth, nees_figure
-from eval.figures.error import difference_figure, error_figure
+from eval.figures.error import difference_figure, error_figure, has_outcomes
 from eval.figures.kinds import every, for_map, for_panels, left_out, worst
 from eval.figures.map import map_figure
 from eval.judgement.runs import filters_in, judged_runs, smoothers_in
