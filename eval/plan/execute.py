@@ -10,16 +10,17 @@ from typing import Any
 from data.errors import UsageError
 from data.log import Log
 from data.notice import Code, Notice, notice
-from data.result import Run
+from data.result import Failure, Run
 from eval.plan.calibrate import settle
 from eval.plan.console import say_kept
-from eval.plan.experiment import MISSING_RUN, Experiment, Unfinished, Work, estimate, incomplete, wanted
+from eval.plan.experiment import MISSING_RUN, Experiment, Unfinished, Work, estimate, wanted
 from eval.plan.experiments import Plan
 from eval.plan.flags.table import TWINS, Options, Study as Simulated
 from eval.plan.results import with_results
 from eval.plan.work import Job, cached, work
 from eval.referee.score import Trial
 from eval.replay.external.spec import is_foreign, name_of
+from eval.replay.recorder import missing_run
 from eval.replay.settings import FILTERS, Setup, steps
 from eval.studies import store, twins
 from eval.studies.diagnosis import FEWEST, Trust, judged, settled, slopes_p
@@ -123,7 +124,7 @@ def _trials(experiments: Sequence[Experiment], done: Mapping[Owner, list[Run]], 
         runs = {(r.association, r.estimator): r for group in groups for r in group}
         for part, why in lost.jobs.items():
             for name in part.work.estimators if isinstance(part, Part) and part.experiment == i else ():
-                run = incomplete(name, part.work.association, e.task, e.log.recorded, why)
+                run = missing_run(name, part.work.association, e.task, e.log.recorded, Failure("incomplete", 0, why))
                 runs[run.association, run.estimator] = run
                 about = MISSING_RUN.about(log=e.log.name, task=e.task, estimator=name)
                 lost.say("run", why, about.about(association=part.work.association))

@@ -10,15 +10,13 @@ from typing import Any
 from association.names import SCAN
 from data.command import portable
 from data.errors import UsageError
-from data.inputs import Inputs
 from data.log import Log
 from data.notice import Code, Notice, notice
-from data.result import Failure, Run
+from data.result import Run
 from eval.compare import compare
 from eval.player.watch import Watch
 from eval.replay.external.adapter import ForeignError, Loaded, Method, lack, load, tasks_of
 from eval.replay.external.spec import introduce, is_foreign, name_of, place_of, shown
-from eval.replay.recorder import missing_run
 from eval.replay.settings import FILTERS, Setup
 from eval.studies.scenario import Scenario
 
@@ -85,11 +83,6 @@ def estimate(experiment: Experiment, part: Work, watched: bool = False) -> list[
     inputs = experiment.log.inputs(labels=part.association == "known")
     watch = Watch if watched else None
     return compare(inputs, experiment.task, part.estimators, part.association, experiment.setup, watch)
-
-
-def incomplete(name: str, association: str, task: str, inputs: Inputs, why: Notice) -> Run:
-    """A run without results, and the reason."""
-    return missing_run(name, association, task, inputs, Failure("incomplete", 0, why))
 
 
 MISSING_RUN = notice(Code.MISSING)

@@ -15,11 +15,13 @@ import slamref
 from data.formats.open_log import write_folder
 from data.logs import open_log
 from data.notice import Code
+from data.result import Failure
 from eval.plan import console as told, first_use, warming, work as works
 from eval.plan.console import progress, say_kept
-from eval.plan.experiment import estimate, incomplete
+from eval.plan.experiment import estimate
 from eval.plan.flags.options import read_options
 from eval.plan.work import KILLED, Job, OutOfMemoryError, work
+from eval.replay.recorder import missing_run
 from eval.run_all import main
 from tests.eval.plan.jobs import killed, squared, stays, too_large
 
@@ -150,7 +152,7 @@ def test_a_long_command_writes_a_line_each_minute(monkeypatch, capsys):
     ("batch", "jcbb", ("final",)),
 ])  # fmt: skip
 def test_it_has_the_name_the_association_and_the_phases_it_would_have_had(name, association, phases):
-    run = incomplete(name, "jcbb", "slam", open_log("arena:0").inputs(), KILLED)
+    run = missing_run(name, "jcbb", "slam", open_log("arena:0").inputs(), Failure("incomplete", 0, KILLED))
     assert (run.estimator, run.association, run.task, run.phases) == (name, association, "slam", phases)
     assert run.status == "incomplete"
     assert (run.flaw.frame, run.flaw.notice) == (0, KILLED)
