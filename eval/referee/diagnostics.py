@@ -21,9 +21,8 @@ from data.words import sentence
 from eval.referee.ambiguity import ambiguous
 from eval.referee.errors import observed, position_distance, rms
 from eval.referee.lost import FEWEST
-from eval.referee.metrics import RUN
 from eval.referee.residuals import smoothed_residuals, used_by
-from eval.referee.result_files import NOTICES
+from eval.referee.result_files import NOTICES, RUN
 from eval.referee.score import Scores, Trial, score
 from eval.referee.sources import source_notices
 

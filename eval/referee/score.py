@@ -25,8 +25,8 @@ from eval.referee.given.in_space import plane_rmse
 from eval.referee.given.runs import GivenRun, log_of, match
 from eval.referee.intervals import SEED, difference_rows, intervals
 from eval.referee.lost import lost, unused
-from eval.referee.metrics import OF_DECISIONS, RUN
 from eval.referee.relations import relation_rows
+from eval.referee.result_files import OF_DECISIONS, RUN
 from eval.referee.sources import source_rows
 
 HEADS = ("estimator", "association", "phase", "status", "position RMSE [m]", "pose NEES (3 expected)")

@@ -30,8 +30,8 @@ from data.tails import least_of, log_tail
 from data.truth import Truth
 from eval.referee.confusion import OUTCOMES
 from eval.referee.consistency import innovations_word, lag1_correlation, nis_bounds, squares
-from eval.referee.metrics import RUN
 from eval.referee.residuals import Used, described, rate_of
+from eval.referee.result_files import RUN
 
 CLOSURE = "closure"
 SURE = 1e-4  # probability below which a single log's NIS, or number of rejections, is worth a notice

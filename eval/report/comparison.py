@@ -8,8 +8,7 @@ import numpy as np
 import pandas as pd
 
 from eval.referee.consistency import MARKS
-from eval.referee.metrics import OF_DECISIONS, RUN, heads, is_share, metric
-from eval.referee.result_files import Row, is_blank, rows_of, value_of
+from eval.referee.result_files import OF_DECISIONS, RUN, Row, heads, is_blank, is_share, metric, rows_of, value_of
 from eval.report.page.blocks import Table
 from eval.report.page.files import HEADS, drop_blank_columns, interval, number
 from eval.report.words import paragraph

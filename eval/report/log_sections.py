@@ -14,9 +14,8 @@ from eval.figures.kinds import DETAILS, FRONT, aligned_statement
 from eval.judgement.judgement import Comparison, Judgement
 from eval.plan.flags.table import Output
 from eval.referee.given.runs import is_truth_alone
-from eval.referee.metrics import heads
 from eval.referee.plausibility import IMPLAUSIBLE
-from eval.referee.result_files import rows_of
+from eval.referee.result_files import heads, rows_of
 from eval.referee.score import Scores, Trial
 from eval.replay.settings import Setup
 from eval.report import comparison

@@ -33,7 +33,7 @@ from eval.referee import consistency, errors, result_files
 from eval.referee.consistency import QUANTITIES
 from eval.referee.given.pairing import FITS, OTHER_FRAME, PLENTY, POOR, inverted
 from eval.referee.given.runs import GivenRun, TruePath, truth_log
-from eval.referee.metrics import OF_ESTIMATES
+from eval.referee.result_files import OF_ESTIMATES
 from eval.referee.score import Trial, metrics_row
 from eval.referee.space_scores import CONVENTIONS, ERRORS as NAMED, columns_in_space
 from eval.report.page.blocks import Table

@@ -18,8 +18,7 @@ from data.log import folder_name
 from data.words import environment, number as number
 from eval.figures.figure_style import tex_escape
 from eval.plan.flags.table import Output
-from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES
-from eval.referee.result_files import is_blank
+from eval.referee.result_files import OF_DECISIONS, OF_ESTIMATES, is_blank
 from eval.referee.score import Trial
 from eval.replay.settings import ESTIMATOR_TABLE
 from eval.report.page.blocks import FinePrint, Table

@@ -10,7 +10,7 @@ from hypothesis import given, strategies as st
 from data.inputs import LandmarkMap
 from eval.referee import result_files
 from eval.referee.confusion import OUTCOMES, confuse, ground_truth, majority_agreement, share_within
-from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, Metric, heads, is_share, metric
+from eval.referee.result_files import OF_DECISIONS, OF_ESTIMATES, Metric, heads, is_share, metric
 from eval.referee.score import COUNTED
 
 NEW, DISCARD = -1, -2

@@ -19,8 +19,7 @@ from data.se2 import Array
 from data.words import environment, number, sentence
 from eval.plan.flags.table import Output
 from eval.referee.confusion import OUTCOMES
-from eval.referee.metrics import metric
-from eval.referee.result_files import LAB_TEXT
+from eval.referee.result_files import LAB_TEXT, metric
 from eval.referee.score import Trial, confusion_of, metrics_row
 from wings.labs.stepping.problem import TruthRow, row_of
 
