@@ -14,11 +14,10 @@ from eval.judgement.runs import WRONG_LIMIT, Counts, Objected, Objection, RunJud
 from eval.referee.consistency import CONSISTENT, FIT, MARKS, MIN_RUNS, NEES_LIMIT, OVERCONFIDENT, TOO_FEW, WHITE
 from eval.referee.score import Trial, score
 from eval.report import calls, comparison
-from eval.report.log_sections import answer
 from eval.report.overview import in_short, introduction, overview, trust_mark
 from eval.report.terminal import groups_of, lines, trust_line
 from eval.report.words import say
-from eval.report.writing import as_json
+from eval.report.writing import answer, as_json
 from eval.studies.montecarlo import UNEVEN, Sample, consistency_table, judge, judge_estimators, study_of
 from eval.studies.scenario import load_scenario
 from tests.eval.judged import BLIND, LOG, judgement

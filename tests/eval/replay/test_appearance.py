@@ -19,7 +19,7 @@ from eval.replay.hindsight.final_association import reassociate
 from eval.replay.hindsight.hypotheses import Hypotheses
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import SENSED_GATE, Setup
-from eval.report.log_sections import gate_sentence
+from eval.report.writing import gate_sentence
 from eval.studies.twins import source_of, twin
 from eval.tune import main as tune
 from tests.quick import slow

@@ -11,9 +11,9 @@ from eval.judgement.judgement import difference_of
 from eval.judgement.runs import RunJudgement, judged_runs
 from eval.referee.consistency import innovations_word
 from eval.referee.truth_free import Statistic
-from eval.report.log_sections import answer
 from eval.report.terminal import Group, lines
 from eval.report.words import environment, one_line, paragraph
+from eval.report.writing import answer
 from eval.studies.diagnosis import Trust
 from eval.studies.twins import Sample
 from tests.eval.judged import judgement, run_of

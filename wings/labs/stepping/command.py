@@ -92,8 +92,8 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
     from eval.replay.external.adapter import lack
     from eval.replay.external.spec import is_foreign, name_of
     from eval.replay.run import step_by_step
-    from eval.report.log_sections import gate_sentence
     from eval.report.words import asked as question_line
+    from eval.report.writing import gate_sentence
     from wings.labs.stepping.pictures import ImageWriter, open_windows
     from wings.labs.stepping.stepper import StoppedError, Walk, end
     from wings.labs.stepping.text import lab_block, step_block
