@@ -34,7 +34,7 @@ from eval.plan.execute import execute
 from eval.plan.experiments import Plan
 from eval.plan.flags.table import Execution, Options, Output
 from eval.plan.provenance import versions
-from eval.replay.run import front_end, step_by_step
+from eval.replay.run import front_end, step_by_step, through
 from eval.replay.settings import HINDSIGHT, Setup
 from eval.studies.scenario import Scenario, load_scenario
 from graph.bare_loop import bare_isam2
@@ -129,10 +129,7 @@ def each_frame(estimator: str, association: str, inputs: Inputs) -> Array:
         for k in range(len(inputs)):
             begin = time.perf_counter()
             frame = inputs.frame(k)
-            front.move(frame)
-            if len(frame.observations.z):
-                front.update(frame, front.associate(frame))
-            front.tidy()
+            through(front, frame, lambda *_: None)
             front.estimator.estimate()
             seconds[k] = time.perf_counter() - begin
     return seconds
