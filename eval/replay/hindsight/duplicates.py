@@ -220,7 +220,7 @@ class Duplicates:
             new, before = [n for n in young if n >= first], [n for n in known if n < first]
             pairs = constellation(slam, ledger, new, before, around, scale)
         if pairs:
-            ledger.end_epoch()
+            ledger.epoch = ledger.epoch._replace(begun=-math.inf)  # the ambiguity is resolved
             return pairs
         if not agreeing(slam, ledger, here, there)[2].any():
             return []

@@ -305,10 +305,6 @@ class Ledger:
         gated[inside] = self.travelled
         return True
 
-    def end_epoch(self) -> None:
-        """The ambiguity is resolved."""
-        self.epoch = self.epoch._replace(begun=-math.inf)
-
     def contradicted(self) -> IntArray:
         """Retract landmarks (r,) that the evidence of this frame contradicts."""
         found = {n: verdict(self.records[n].evidence, self._visibility) for n in sorted(self._touched)}

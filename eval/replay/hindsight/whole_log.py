@@ -178,14 +178,16 @@ def same_landmarks(sensor: Sensor, path: Array, known: LandmarkMap, seen: Observ
     rows = dict(zip(numbers.tolist(), np.split(order, begin[1:]), strict=True))
     often = [n for n in rows if n >= 0 and len(rows[n]) >= constants.WINDOW_OBSERVATIONS]
     xy, apart = known.positions(np.array(often, np.int64)), constants.SAME_PLACE * sensor.max_range
-
-    found, near = [], sorted(_neighbours(xy))
+    # each with the nearest others, as pairs of rows in ascending order
+    nearest = [np.argsort(np.hypot(*(xy - here).T), kind="stable")[: 1 + constants.SAME_NEAREST] for here in xy]
+    near = sorted({(min(i, j), max(i, j)) for i, row in enumerate(nearest) for j in row.tolist() if i != j})
     # whether a landmark's observations, most of them, could be of something at the other's place
     tests = [(often[i], j) for pair in near for i, j in (pair, pair[::-1])]
     k = np.concatenate([rows[n] for n, _ in tests]) if tests else rows[-1][:0]
     of = np.repeat(np.arange(len(tests)), [len(rows[n]) for n, _ in tests])
     nu = sensor.residual(seen.z[k], sensor.predict(path[seen.frame[k]], xy[[j for _, j in tests]][of]))
     agree: BoolArray = medians(squared_norms(nu, seen.R[k]), of) < gate_threshold(constants.SAME_GATE)
+    found = []
     for (i, j), both in zip(near, agree.reshape(-1, 2), strict=True):
         if both.all():
             a, b = often[i], often[j]
@@ -206,12 +208,6 @@ def medians(values: Array, of: IntArray) -> Array:
     count = np.bincount(of)
     begin, ascending = np.cumsum(count) - count, values[np.lexsort((values, of))]
     return np.asarray(0.5 * (ascending[begin + (count - 1) // 2] + ascending[begin + count // 2]))
-
-
-def _neighbours(xy: Array) -> set[tuple[int, int]]:
-    """Each of the points (n, 2) with the nearest others, as pairs of rows in ascending order."""
-    nearest = [np.argsort(np.hypot(*(xy - here).T), kind="stable")[: 1 + constants.SAME_NEAREST] for here in xy]
-    return {(min(i, j), max(i, j)) for i, near in enumerate(nearest) for j in near.tolist() if i != j}
 
 
 def log_odds(one: IntArray, other: IntArray, path: Array, apart: float) -> float:
