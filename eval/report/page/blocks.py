@@ -175,17 +175,11 @@ def every_block(blocks: Sequence[Block]) -> Iterator[Block]:
             yield from every_block(block.blocks)
 
 
-def fine_print(report: Report) -> tuple[FinePrint, ...]:
-    """What the captions of a report leave out, each text once, in reading order."""
-    sections = (*report.first, *report.sections)
-    blocks = [*report.introduction, *(b for s in sections for b in s.blocks)]
-    found = (b.fine for b in every_block(blocks) if isinstance(b, Table))
-    return tuple(dict.fromkeys(f for f in found if f is not None))
-
-
 def with_fine_print(report: Report) -> tuple[Section, ...]:
-    """The sections, with the fine print at the end of the one that is called `READING` (made if there is none)."""
-    texts = [f"**{f.title}.** {f.text}" for f in fine_print(report)]
+    """The sections; the one that is called `READING` (made if there is none) ends with the fine print of all tables."""
+    blocks = [*report.introduction, *(b for s in (*report.first, *report.sections) for b in s.blocks)]
+    fine = dict.fromkeys(b.fine for b in every_block(blocks) if isinstance(b, Table) and b.fine is not None)
+    texts = [f"**{f.title}.** {f.text}" for f in fine]
     own = [b for s in report.sections if s.heading == READING for b in s.blocks]
     if not own and not texts:
         return report.sections
