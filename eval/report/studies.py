@@ -17,7 +17,7 @@ from data.terminal import counted
 from eval.figures.claims import anees_figure, outlier_figure
 from eval.figures.style import save_for_page
 from eval.plan.execute import Outcome
-from eval.plan.flags.options import Options
+from eval.plan.flags.table import Options
 from eval.plan.work import Job, work
 from eval.referee.consistency import MIN_RUNS
 from eval.referee.result_files import PUBLISHED

@@ -30,7 +30,7 @@ from eval.figures.error import error_figure, ticks, time_label
 from eval.figures.plane import true_landmarks
 from eval.figures.style import DASHED, NARROW, SOLID, Line, across, colour_of_method, drawing, page_width, save_for_page
 from eval.plan.experiment import Unfinished
-from eval.plan.flags.options import Options
+from eval.plan.flags.table import Options
 from eval.plan.work import Job, work
 from eval.referee.confusion import OUTCOMES
 from eval.referee.consistency import ASTRAY_NEES

@@ -12,8 +12,6 @@ from eval.replay.external.spec import names_of
 from eval.replay.flag import Flag, filled, read_values, rows
 from eval.replay.settings import Setup, check_gates
 
-__all__ = ["Options", "options_of", "read_options"]
-
 TABLE = rows(Options)
 NOT_WITH_SCENARIO = ("log", "data", "task", "association", "twins", "result", "truth")
 NOT_WITH_LAB = (*NOT_WITH_SCENARIO, "scenario", "full", "runs", "calibrate", "cooperative")
