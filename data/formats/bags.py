@@ -482,6 +482,8 @@ def scans_of(
     ranges = measured[order][inside]
     ranges = np.where(ranges >= float(mending.ranges(np.array(g["range_min"]))), ranges, 0.0)
     ranges = with_returns(ranges, scanner.max_range)
+    if not inside.all():
+        notes.append(f"{np.sum(~inside)} of {counted(len(inside), 'scan')} outside the span of the odometry: left out.")
     return LaserScans(scanner, stamp[inside], ranges, inside, resampled, tuple(notes), tuple(asked), origins)
 
 
@@ -532,9 +534,6 @@ def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, 
         notes = ["No ground truth: the prior is the first pose of the odometry.", where, *found.told(), *scans.notes]
     if more := [t.name for t in topics if t.role not in (*roles, Role.NOTHING, Role.CAMERA, Role.TRUTH)]:
         notes.append(f"Left out, as slamref convert bag alone reads them: {', '.join(more)}.")
-    if not inside.all():
-        lost = f"{int((~inside).sum())} of {counted(len(inside), 'scan')}"
-        notes.append(f"{lost} outside the span of the odometry: left out.")
     after = np.clip(np.searchsorted(time, stamp), 1, len(time) - 1)
     far = int((time[after] - time[after - 1] > LONG).sum()) if len(time) > 1 else 0
     if far:

@@ -185,8 +185,10 @@ def test_scans_and_detections_share_their_frames(maker, tmp_path):
     maker.mounting("base_link", "laser", 0.1, 0.0, 0.0)
     maker.scan(1.0, [1.0, 2.0, 3.0])
     maker.scan(2.0, [2.0, 2.0, 2.0])
+    maker.scan(-9.0, [2.0, 2.0, 2.0])
     maker.poses(1.5, [(2.0, 0.5)])
-    r = load(maker, tmp_path, "--point-sigma", "0.1").recorded
+    r = (log := load(maker, tmp_path, "--point-sigma", "0.1")).recorded
+    assert "1 of 3 scans outside the span of the odometry: left out." in log.notes
     assert r.time[r.scans.frame].tolist() == [1.0, 2.0]
     assert r.time[r.observations.frame].tolist() == [1.5]
     assert r.scans.scanner.translation == (-0.1, 0.0)
