@@ -326,12 +326,23 @@ def cut_end(rows: Sequence[Sequence[str]], line: int) -> str:
     if len(others) < LEAST or len({len(row) for row in others[1:]}) > 1 or len(last) > len(others[-1]) or not last:
         return ""
     broken = any(f and not is_number(f) and all(is_number(row[j]) for row in others[1:]) for j, f in enumerate(last))
-    if len(last) == len(others[-1]) and not broken:
-        return ""
-    return f"line {line}, the last one, is cut off and left out: {','.join(last)[:60]!r}"
+    said = f"line {line}, the last one, is cut off and left out: {','.join(last)[:60]!r}"
+    return said if broken or len(last) != len(others[-1]) else ""
 
 
 LEAST = 3  # rows before the last one
+
+
+def blocks_of(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Number of each row's block, "" of heads: this number, one more than before, and how many rows follow; or none."""
+    block = list[str]()
+    while (k := len(block)) < len(rows) and len(rows[k]) == 2 and all(map(str.isdecimal, rows[k])):
+        block += ["", *[rows[k][0]] * min(int(rows[k][1]), len(rows))]
+    heads = [int(row[0]) for row, of in zip(rows, block, strict=False) if not of]
+    below = [(row, of) for row, of in zip(rows, block, strict=False) if of]
+    own = any(row[0] != of for row, of in below)  # else a row for each observation, behind its frame
+    whole = len(block) == len(rows) and heads == list(range(heads[0], heads[0] + max(2, len(heads))))
+    return block if whole and own and len({len(row) for row, _ in below}) == 1 else []
 
 
 def begins(lines: Sequence[tuple[int, str]]) -> list[int]:

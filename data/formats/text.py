@@ -23,7 +23,7 @@ from data.csv_table import cut_off, ends_early, is_number
 from data.dates import DMY, EXAMPLE, MDY, is_date, seconds_of, whole_dates
 from data.errors import DataError
 from data.formats.arrays import ELEMENT, WIDE, columns_of, is_arrays
-from data.formats.messages import LISTED, cut_end, kinds_of, parts_of, read_lines, whole_names
+from data.formats.messages import LISTED, blocks_of, cut_end, kinds_of, parts_of, read_lines, whole_names
 from data.formats.recordings.ros import file_and_topic, is_bag, table_of
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
@@ -46,6 +46,7 @@ class Text:
     comments: tuple[tuple[int, str], ...] = ()  # with the numbers of their lines
     every: tuple[int, ...] = ()  # lines that are no comments, also blank ones
     cut: str = ""  # what is said of rows that are left out
+    block: tuple[str, ...] = ()  # number of the block of each row
 
     @property
     def commas(self) -> bool:
@@ -202,6 +203,11 @@ def _rows(path: Path, stated: Collection[str] = (), odometry: int = 0) -> Text:
             rows = [row[: -1 if not row[-1] else None] for row in rows]  # a separator ends every line
     if cut := cut_end(rows, number[-1]):
         rows, number = rows[:-1], number[:-1]
+    if block := blocks_of(rows):
+        cut = f"inferred: {block.count('')} rows as {','.join(rows[0])} are heads: a number, and how many rows follow"
+        within = [k for k, of in enumerate(block) if of]
+        rows, number, block = [rows[k] for k in within], [number[k] for k in within], [block[k] for k in within]
+        text = replace(text, every=tuple(number), block=tuple(block))
     if titles := next((c.lstrip("% ").split() for _, c in comments if re.match(RTKLIB, c)), None):
         dated = "/" in rows[0][0]  # else the week, and its seconds
         rows = [("time", *titles[1:]), *((" ".join(row[:2]) if dated else row[1], *row[2:]) for row in rows)]
@@ -277,6 +283,8 @@ def _table(text: Text, stated: Collection[str] = (), odometry: int = 0, *, seen:
         j, k = (shown.index(part) for part in both.split("+"))
         small = next((n for n, unit in FRACTIONS.items() if re.fullmatch(rf"(.*[^a-z])?({unit})", shown[k], re.I)), 9)
         rows, shown = [(*r, f"{r[j]}.{r[k]:0>{small}}" if r[j] and r[k] else "") for r in rows], [*shown, both]
+    if text.block:
+        rows, shown = [(*row, of) for row, of in zip(rows, text.block, strict=True)], [*shown, "frame"]
     cut = "; ".join(filter(None, said))
     return TextTable(path, tuple(shown), tuple(rows), number, names is not None, cut)
 
@@ -337,9 +345,8 @@ def _uncounted(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
 def _each(rows: Sequence[Sequence[str]]) -> int:
     """How many numbers each observation has, in rows of three or more lengths behind stamps; 0: none, unknown."""
     count = math.gcd(*(len(row) - 1 for row in rows))
-    if count not in (2, 3) or len(set(map(len, rows))) < SLOTS or not all(map(is_number, chain(*rows))):
-        return 0
-    return count if all(float(a[0]) <= float(b[0]) for a, b in pairwise(rows)) else 0
+    fits = count in (2, 3) and len(set(map(len, rows))) >= SLOTS and all(map(is_number, chain(*rows)))
+    return count if fits and all(float(a[0]) <= float(b[0]) for a, b in pairwise(rows)) else 0
 
 
 def _by_rows(

@@ -406,6 +406,8 @@ def _read(p: _Parts) -> None:
         count, seen = len(next(iter(read.values()), ())), role in p.observing
         if path not in read:
             read[path] = table_files.upright(read_table(path, p.named.values(), count, seen=seen))
+        if role == "odometry" and "0" in {p.named.get(k) for k in ("theta", "odometry.theta")} - {*read[path].names}:
+            read[path] = read[path].beside("0", np.zeros(len(read[path]), int))  # no column, which count from 1
     for path in {p.files.get(SCANS, p.files["odometry"])} - {p.files.get(OBSERVATIONS)}:
         moves = SCANS not in p.files and _moves(p, read[path])
         read[path] = folded_up(read[path], p.columns, moves) or read[path]

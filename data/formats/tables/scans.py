@@ -47,7 +47,8 @@ def read_scans(
     t = columns.find(file, "scans", "t")
     if first is not None:  # of an array named Z those named Z_1, Z_2, ...
         stem = file.names[first].rstrip("0123456789")
-        beams = [k for k in range(first, len(file.names)) if k != t and (not stem or file.names[k].startswith(stem))]
+        end = len(file.names) - (file.names[-1] == "frame")
+        beams = [k for k in range(first, end) if k != t and (not stem or file.names[k].startswith(stem))]
         ends = {k: name.removeprefix(stem) for k, name in enumerate(file.names) if stem and name.startswith(stem)}
         number = {k: int(end) for k, end in ends.items() if end.isdecimal()}
         if {*beams} <= {*number}:  # arrays may be stored in another order

@@ -8,6 +8,7 @@ import pytest
 from scipy.io import savemat
 
 from data.convert.__main__ import main
+from data.formats.results.reading import read_path
 
 NOISE = ("--odometry-sigma", "0.05,2deg", "--observation-sigma", "0.1")
 MIXED = "\n".join(line for k in range(9) for line in (f"odom2 {k} 0.5 0.1 0 0", f"range2 {k}.5 {9 - k} 7")) + "\n"
@@ -173,6 +174,18 @@ def test_a_row_for_each_beam_is_folded_into_scans(read, stamp, title):
     lost = 0 if title else 114
     assert f"20 scans, a row for each beam, in steps of 9 deg; 686 echoes, {lost} rows without one" in said
     assert ("angles count anticlockwise" in said) == bool(title)
+
+
+def test_rows_below_heads_are_a_scan_or_a_pose_each_and_a_heading_may_be_0(read, unread):
+    scans = (f"{k},40\n" + "".join(f"{9 * i},{40 * k + i + 9}\n" for i in range(40)) for k in range(20))
+    files = {"a.csv": "".join(f"{k},1\n{0.5 * k},0.25\n" for k in range(20)), "s.csv": "".join(scans)}
+    words = ("--scans", "s.csv", "--unit=angle=deg,range=cm", "--columns", "scans.bearing=1,scans.range=2,x=1,y=2")
+    log, said = read(files, *words, "--columns", "theta=0")
+    assert log.recorded.scans.ranges == pytest.approx(np.arange(9.0, 809.0).reshape(20, 40) / 100.0)
+    assert log.recorded.increments.mean[1:] == pytest.approx(np.tile([0.5, 0.0, 0.0], (19, 1)))
+    assert "a.csv: inferred: 20 rows as 0,1 are heads" in said
+    assert read_path("a.csv").pose[:, 0] == pytest.approx(0.5 * np.arange(20))
+    assert "of places without headings of what does not turn --columns odometry.theta=0" in unread(files, *words)
 
 
 def telegram(k, far):
