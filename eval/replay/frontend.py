@@ -7,10 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from association.appearance import Evidence, Looks, evidence
-from association.candidates import in_view
+from association.candidates import Faces, aligned_with_observations, in_view
 from association.decide import Decided, decide, horizon, pair_by_label
 from association.expectation import Expectation, gate_threshold
-from association.faces import Faces, aligned_with_observations
 from association.jcbb import BUDGET
 from association.triangulate import triangulate
 from association.truncated import Acceptance, acceptance, accepted_moments, truncated_square

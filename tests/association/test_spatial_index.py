@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from association.candidates import FEW, Places, gate_radius, view_radius
+from association.candidates import BESIDE, FEW, Faces, Places, aligned_with_observations, gate_radius, view_radius
 from association.decide import decide, horizon
 from association.expectation import Expectation
-from association.faces import MARGIN, Faces, aligned_with_observations
 from association.names import METHODS
 from data.inputs import FrameObservations, LandmarkMap, Prior
 from data.se2 import wrap_angle
@@ -117,7 +116,7 @@ def seen(*poses, d=0.5):
 
 
 @pytest.mark.parametrize(
-    ("x", "offered"), [(2.0, True), (3.0 + 0.9 * MARGIN, True), (3.0 + 1.1 * MARGIN, False), (-4.0, False)]
+    ("x", "offered"), [(2.0, True), (3.0 + 0.9 * BESIDE, True), (3.0 + 1.1 * BESIDE, False), (-4.0, False)]
 )
 def test_the_other_face_of_a_wall_is_offered_where_the_first_was_seen(x, offered):
     faces = seen(1.0, 2.0, 3.0)  # from y < 0, driving along it to the right, it is on the left

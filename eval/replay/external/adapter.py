@@ -26,8 +26,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from association.candidates import aligned_with_observations
 from association.expectation import Expectation, SingularInnovationError, statistics
-from association.faces import aligned_with_observations
 from data.blocks import diagonal_blocks, whitened
 from data.errors import UsageError
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap
