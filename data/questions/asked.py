@@ -16,7 +16,7 @@ from data.log import ODOMETRY_KIND, TRUTH_POSE, Log
 from data.motion.velocity import compose_in_place
 from data.notice import Code, Notice, notice
 from data.questions.examination import contradictions
-from data.questions.flags import as_pose, metres_of
+from data.questions.readings import as_pose, metres_of
 from data.se2 import BoolArray, compose, inverse, wrap_angle
 from data.sensors import RELATIVE_POINT
 from data.timeline import MAX_GAP

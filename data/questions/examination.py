@@ -16,8 +16,7 @@ from data.inputs import IntArray
 from data.log import ODOMETRY_KIND, ODOMETRY_PERIOD, Log
 from data.notice import Code, Notice, notice
 from data.questions import readings, witnesses
-from data.questions.flags import flags_of
-from data.questions.readings import DEG, SMALL_NOISE, TINY, Kind, Numbered, Part, Reading
+from data.questions.readings import DEG, SMALL_NOISE, TINY, Kind, Numbered, Part, Reading, flags_of
 from data.questions.witnesses import EXACT, FEWEST, WEIGHT, WITNESSES, Case, Samples, by_nearest, case_of, changes
 from data.se2 import Array, between, compose, dead_reckoned, inverse, rigid_fit, transform_points
 

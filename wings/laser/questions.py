@@ -10,7 +10,7 @@ import scipy
 from data.inputs import Scans
 from data.log import Log
 from data.notice import Code, Notice, notice
-from data.questions.flags import as_pose
+from data.questions.readings import as_pose
 from data.se2 import Array, between, dead_reckoned, inverse, transform_points
 from wings.laser.scans.points import FEWEST_BEAMS, beams_of
 
