@@ -27,38 +27,30 @@ class SingularInnovationError(ValueError):
     """An innovation covariance is not positive definite, or not finite."""
 
 
+@lru_cache(maxsize=4096)
 def gate_threshold(probability: float | None, dof: int = 2) -> float:
     """Squared distance that a chi-square variable of `dof` stays below with `probability`; None: infinite."""
     if probability is None:
         return float("inf")
     if not 0.0 < probability < 1.0:
         raise ValueError(f"gate {probability}: a probability between 0 and 1, or none")
-    return _chi2(probability, dof)
-
-
-@lru_cache(maxsize=4096)
-def _chi2(probability: float, dof: int) -> float:
     return float(2.0 * gammaincinv(0.5 * dof, probability))
 
 
+@lru_cache(maxsize=4096)
 def threshold_with(gate: float | None, dims: int, pairs: int, right: Evidence) -> float:
     """Squared distance below which right pairings of `dims` numbers stay together with probability `gate`."""
     dof = (dims + right.dims) * pairs
     if not right.error or gate is None or not 0.0 < gate < 1.0:
         return gate_threshold(gate, dof)
-    return _with_misreadings(gate, dof, pairs, right.error, right.cost)
-
-
-@lru_cache(maxsize=4096)
-def _with_misreadings(probability: float, dof: int, pairs: int, error: float, cost: float) -> float:
-    """Quantile of a chi-square variable plus `cost` for each of `pairs` classes misread with probability `error`."""
-    wrong = np.arange(pairs + 1)
-    share = scipy.stats.binom.pmf(wrong, pairs, error)
+    wrong = np.arange(pairs + 1)  # the quantile of chi-square plus the cost of each misread class
+    share = scipy.stats.binom.pmf(wrong, pairs, right.error)
 
     def outside(threshold: float) -> float:
-        return float(share @ chdtrc(dof, np.maximum(threshold - cost * wrong, 0.0))) - (1.0 - probability)
+        return float(share @ chdtrc(dof, np.maximum(threshold - right.cost * wrong, 0.0))) - (1.0 - gate)
 
-    return float(scipy.optimize.brentq(outside, 0.0, _chi2(probability, dof) + cost * pairs + 1.0, xtol=1e-9))
+    most = gate_threshold(gate, dof) + right.cost * pairs + 1.0
+    return float(scipy.optimize.brentq(outside, 0.0, most, xtol=1e-9))
 
 
 NOTHING = Evidence()

@@ -59,25 +59,6 @@ def _unconditioned(m: int, C: Array) -> Given:
 
 
 @njit
-def _pairings(compatible: BoolArray) -> tuple[IntArray, IntArray]:
-    """Compatible pairs by observation, those of i from `first[i]` to `first[i + 1]`, and each one's candidate."""
-    m, k = compatible.shape
-    first = np.zeros(m + 1, np.int64)
-    for i in range(m):
-        first[i + 1] = first[i]
-        for j in range(k):
-            first[i + 1] += compatible[i, j]
-    candidate = np.empty(first[m], np.int64)
-    for i in range(m):
-        p = first[i]
-        for j in range(k):
-            if compatible[i, j]:
-                candidate[p] = j
-                p += 1
-    return first, candidate
-
-
-@njit
 def _whitened(i: int, j: int, q: int, nu: Array, R: Array, given: Given) -> tuple[float, float, float, float, float]:
     """Innovation (x, y) of observation i and candidate j given q pairings, whitened by its factor (l00, l10, l11)."""
     D, shift = given.D, given.shift
@@ -137,20 +118,16 @@ def search_best(
     Returns (choice (m,), d^2, pairings, nodes, status).
     """
     m, k = compatible.shape
-    first, candidate = _pairings(compatible)
-    pairs = first[m]
+    observation, candidate = np.nonzero(compatible)  # of each pair, those of i from first[i] to first[i + 1]
+    first, pairs = np.searchsorted(observation, np.arange(m + 1)), len(candidate)
     given = _unconditioned(m, C)
     made, d2 = np.zeros(m + 1, np.int64), np.zeros(m + 1)  # by depth: pairings and joint distance
     chosen, branch, branches = np.empty(m + 1, np.int64), np.zeros(m + 1, np.int64), np.zeros(m + 1, np.int64)
     order = np.empty((m + 1, k), np.int64)
-    closed_at = np.empty(pairs, np.int64)  # depth at which a pairing was closed
-    for p in range(pairs):
-        closed_at[p] = m + 2
+    closed_at = np.full(pairs, m + 2)  # depth at which a pairing was closed
     gain, need = np.empty(pairs), np.empty(k, np.bool_)
     decided, taken = np.zeros(m, np.bool_), np.zeros(k, np.bool_)
-    choice, best_choice = np.empty(m, np.int64), np.empty(m, np.int64)
-    for i in range(m):
-        choice[i] = best_choice[i] = UNPAIRED
+    choice, best_choice = np.full(m, UNPAIRED), np.full(m, UNPAIRED)
     best, best_d2 = 0, 0.0
     t, nodes, arriving = 0, 0, True
     while t >= 0:
@@ -196,8 +173,7 @@ def search_best(
             if pick < 0:
                 if d2[t] < thresholds[q] and (q > best or (q == best and d2[t] < slack)):
                     best, best_d2 = q, d2[t]
-                    for i in range(m):
-                        best_choice[i] = choice[i]
+                    best_choice[:] = choice
                 hopeless = True
             else:
                 hopeless = after < best or (after == best and d2[t] + bound >= slack) or d2[t] >= thresholds[after]
@@ -238,8 +214,7 @@ def search_best(
         j = candidate[order[t, number]]
         choice[i] = j
         taken[j] = True
-        for c in range(k):
-            need[c] = False
+        need[:] = False
         for o in range(m):
             if not decided[o]:
                 for p in range(first[o], first[o + 1]):
@@ -263,17 +238,14 @@ def search_first(
     m, k = compatible.shape
     given, everything = _unconditioned(m, C), np.ones(k, np.bool_)
     made, d2, branch = np.zeros(m + 1, np.int64), np.zeros(m + 1), np.zeros(m + 1, np.int64)
-    choice, best_choice = np.empty(m, np.int64), np.empty(m, np.int64)
-    for i in range(m):
-        choice[i] = best_choice[i] = UNPAIRED
+    choice, best_choice = np.full(m, UNPAIRED), np.full(m, UNPAIRED)
     best, best_d2, t, nodes = 0, 0.0, made[0], 1  # a literal for t would compile what is called with it twice
     while t >= 0:
         q = made[t]
         if t == m:
             if q > best:
                 best, best_d2 = q, d2[t]
-                for i in range(m):
-                    best_choice[i] = choice[i]
+                best_choice[:] = choice
             t -= 1
             continue
         if branch[t] == 0 and q + m - t <= best:

@@ -42,7 +42,7 @@ def test_nn_gives_one_landmark_to_many_observations_and_the_oldest_on_a_tie():
 
 
 def test_nn_takes_a_distance_that_equals_the_gate_and_the_others_do_not(monkeypatch):
-    monkeypatch.setattr("association.expectation._chi2", lambda probability, dof: 4.0)
+    monkeypatch.setattr("association.expectation.threshold_with", lambda *of: 4.0)
     e = on_a_line([2.0], [0.0], R=np.eye(2))
     assert e.individual_distances()[0, 0] == 4.0
     assert nn(e, GATE).tolist() == [0]
