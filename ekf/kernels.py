@@ -19,8 +19,6 @@ from data.se2 import Array
 from data.sensors import LINE, invert, measure, name_as_read, residual, wrap_angle_jit
 
 NEWEST = np.empty(0)  # first estimates of a filter without any: Jacobians at the newest estimates
-NEW = -1
-DISCARD = -2
 OK = 0
 NOT_FINITE = 1
 NOT_PSD = 2
@@ -176,11 +174,8 @@ def augment(
         else:
             Gx[0, 2], Gx[1, 2] = first[1] - landmark[1], landmark[0] - first[0]
     if variance >= 0.0:
-        for q in range(2):
-            for j in range(d + 2):
-                P[d + q, j] = 0.0
-                P[j, d + q] = 0.0
-            P[d + q, d + q] = variance
+        P[d : d + 2, : d + 2], P[: d + 2, d : d + 2] = 0.0, 0.0
+        P[d, d] = P[d + 1, d + 1] = variance
         return
     for j in range(d):
         for q in range(2):

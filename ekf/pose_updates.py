@@ -104,8 +104,7 @@ def correct_all(
                 P[r, j] -= a * V[i, j]
             i += 1
     if retraction == ADDITIVE:
-        for r in range(d):
-            mean[r] += shift[r]
+        mean[:d] += shift
     else:
         move(mean, P, d, shift, retraction, clones, clones_end)
     mean[2] = wrap_angle_jit(mean[2])

@@ -100,8 +100,7 @@ def predict_with_errors(mean: Array, P: Array, d: int, motion: Array, M: Array, 
             P[:d, a] = P[a, :d]
             P[a, a] = decay * P[a, a] + fresh * errors.drift[0]  # the diagonal entry was scaled once
     every, corrected, A, G = np.zeros(7), np.empty(3), np.empty((3, 7)), np.empty((3, 3))
-    for q in range(p):
-        every[errors.place[q]] = mean[3 + q]
+    every[errors.place] = mean[3 : 3 + p]
     correct(motion, every, errors.mount, corrected, A, G)
     c, s = math.cos(mean[2]), math.sin(mean[2])
     D = np.empty((3, p))

@@ -241,10 +241,7 @@ def run(
                 augment(kind, extrinsic, mean, P, d, steps.z[i], steps.R[i], variance, first)
                 d += 2
             status = healthy(mean, P)
-        for i in range(base):
-            track.pose[f, i] = mean[i]
-            for j in range(base):
-                track.covariance[f, i, j] = P[i, j]
+        track.pose[f], track.covariance[f] = mean[:base], P[:base, :base]
         track.size[f] = d
         if status != OK:
             return d, status, f
