@@ -245,8 +245,7 @@ def linearize_increments(
     W, K = np.zeros((3, 3)), np.zeros((3, 3))
     B[2, 2] = J[2, 2] = 1.0
     for k in range(n):
-        for j in range(p):
-            all_errors[place[j]] = errors[k, j]
+        all_errors[place] = errors[k]
         c, s = math.cos(pose[k, 2]), math.sin(pose[k, 2])
         wx, wy = pose[k + 1, 0] - pose[k, 0], pose[k + 1, 1] - pose[k, 1]
         way[0], way[1], way[2] = c * wx + s * wy, c * wy - s * wx, pose[k + 1, 2] - pose[k, 2]
@@ -279,7 +278,5 @@ def linearize_increments(
         _product(K, B, after[k])
         _adjoint(way[0], way[1], way[2], Ad)  # a shift of the pose before is the opposite shift of the pose after
         _product(after[k], Ad, K)
-        for i in range(3):
-            for j in range(3):
-                before[k, i, j] = -K[i, j]
+        before[k] = -K
     return residual, before, after, by_errors

@@ -231,10 +231,8 @@ def put_places(s: Structure, v: int, place: IntArray) -> int:
     """Number the columns of a front in `place` (N,): its own, then those of its separator; returns how many."""
     own = s.column[v + 1] - s.column[v]
     side: int = own + s.start[v + 1] - s.start[v]
-    for j in range(own):
-        place[s.column[v] + j] = j
-    for j in range(own, side):
-        place[s.after[s.start[v] + j - own]] = j
+    place[s.column[v] : s.column[v + 1]] = np.arange(own)
+    place[s.after[s.start[v] : s.start[v + 1]]] = np.arange(own, side)
     return side
 
 
@@ -268,8 +266,7 @@ def _eliminate(
                 for j in range(wide):
                     if columns[begin + j] >= 0:
                         F[r, place[columns[begin + j]]] = A[at_A[k] + row * wide + j]
-                for j in range(c):
-                    F[r, p + w + j] = b[at_b[k] + row, j]
+                F[r, p + w :] = b[at_b[k] + row]
                 r += 1
         for q in range(depth - children[v], depth):
             begin, end = start[kept[q, 0]], start[kept[q, 0] + 1]
@@ -277,8 +274,7 @@ def _eliminate(
                 for i in range(begin, end):
                     F[r, place[after[i]]] = waiting[source]
                     source += 1
-                for j in range(c):
-                    F[r, p + w + j] = waiting[source + j]
+                F[r, p + w :] = waiting[source : source + c]
                 source += c
                 r += 1
         depth -= children[v]
@@ -295,10 +291,8 @@ def _eliminate(
                 for i in range(j, p):
                     if row_of[i] >= 0:
                         R[at_R[v] + j * p + i] = F[row_of[j], i]
-                for i in range(w):
-                    S[at_S[v] + j * w + i] = F[row_of[j], p + i]
-                for i in range(c):
-                    d[pivot + j, i] = F[row_of[j], p + w + i]
+                S[at_S[v] + j * w : at_S[v] + (j + 1) * w] = F[row_of[j], p : p + w]
+                d[pivot + j] = F[row_of[j], p + w :]
         rest = F[corner:, p:]
         if len(rest) > SLACK * n:
             full = rest.copy()
@@ -488,11 +482,7 @@ def _covariances(
                     G[i, q] -= inverse[i, j] * S[at_S[v] + j * w + q]
         cross = _product(G, below)
         C = np.empty((side, side))
-        for i in range(w):
-            for j in range(n):
-                C[j, n + i] = C[n + i, j] = cross[j, i]
-            for j in range(w):
-                C[n + i, n + j] = below[i, j]
+        C[:n, n:], C[n:, :n], C[n:, n:] = cross, cross.T, below
         for r in range(n):
             for q in range(r + 1):
                 total = 0.0
@@ -512,10 +502,8 @@ def _covariances(
             continue
         fronts = longer(fronts, used, used + side * side)
         begin[v] = used
-        for i in range(side):
-            for j in range(side):
-                fronts[used] = C[i, j]
-                used += 1
+        used += side * side
+        fronts[begin[v] : used] = C.ravel()
 
 
 class Solution(NamedTuple):
