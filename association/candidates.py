@@ -178,8 +178,7 @@ def aligned_with_observations(e: Expectation, sensor: Sensor) -> Expectation:
     def joint(indices: IntArray) -> Array:
         signs = np.ones(2 * len(indices))
         signs[::2] = sign[indices]
-        S: Array = e.joint(indices) * signs[:, None] * signs
-        return S
+        return np.asarray(e.joint(indices) * signs[:, None] * signs)
 
     z_hat = np.stack([sign * e.z_hat[:, 0], wrap_angle(e.z_hat[:, 1] + math.pi * turned)], axis=1)
     moved = None if elsewhere is None else lambda pose: aligned_with_observations(elsewhere(pose), sensor)
@@ -204,8 +203,7 @@ class Faces:
         along = _along(foot, first)
         margin = BESIDE + SIGMAS * math.sqrt(covariance[0, 0] + covariance[1, 1])
         near = (along >= self._stretch[number, 0] - margin) & (along <= self._stretch[number, 1] + margin)
-        visible: BoolArray = (np.cos(normal - first) >= 0.0) | near
-        return visible
+        return np.asarray((np.cos(normal - first) >= 0.0) | near)
 
     def see(self, pose: Array, number: IntArray, z: Array) -> None:
         """Landmarks `number` (m,) were observed at z (m, 2) from a pose (3,)."""
@@ -231,5 +229,4 @@ class Faces:
 
 
 def _along(foot: Array, direction: Array | float) -> Array:
-    along: Array = foot[..., 1] * np.cos(direction) - foot[..., 0] * np.sin(direction)
-    return along
+    return np.asarray(foot[..., 1] * np.cos(direction) - foot[..., 0] * np.sin(direction))

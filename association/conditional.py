@@ -33,8 +33,7 @@ class ConditionalInnovations(NamedTuple):
     @property
     def distance(self) -> Array:
         """Squared Mahalanobis distances (k,), chi-square with 2 dof each."""
-        d2: Array = np.einsum("ki,kij,kj->k", self.innovation, self.information, self.innovation)
-        return d2
+        return np.asarray(np.einsum("ki,kij,kj->k", self.innovation, self.information, self.innovation))
 
 
 def conditional_innovations(e: Expectation, rows: IntArray, chosen: IntArray) -> ConditionalInnovations:

@@ -94,8 +94,7 @@ class Triangle:
             for i in range(2):
                 for j in range(2):
                     found[begin // 2 : end // 2, i, j] = block[row + i, begin + row + j]
-        mean: Array = 0.5 * (found + found.transpose(0, 2, 1))
-        return mean
+        return np.asarray(0.5 * (found + found.transpose(0, 2, 1)))
 
 
 LONGEST = 3  # largest length of y and recent landmarks, relative to A; 2 and 5 take as long
@@ -103,8 +102,7 @@ LONGEST = 3  # largest length of y and recent landmarks, relative to A; 2 and 5 
 
 def symmetric(P: Array) -> Array:
     """P (d, d) without the asymmetry of rounding."""
-    even: Array = 0.5 * (P + P.T)
-    return even
+    return np.asarray(0.5 * (P + P.T))
 
 
 def root(P: Array) -> Array:
@@ -233,5 +231,4 @@ class Parked:
 
     def xy(self, y: Array) -> Array:
         """Present means (b, 2) of the landmarks in these rows, by ascending number."""
-        now: Array = (self.mean + self.D @ y).reshape(-1, 2)[self.based]
-        return now
+        return np.asarray((self.mean + self.D @ y).reshape(-1, 2)[self.based])

@@ -253,9 +253,7 @@ def of_frame(
         how = UpdateRule(threshold, retraction, iterations, first, clones, clones_end)
         begin = len(seen.at) - k  # as in `iterate`
         status = update(kind, extrinsic, start, mean, P, d, seen, begin, k, how, done)
-        for i in range(k):
-            used[rows[i]] = done.keep[i]
-            white[rows[i], 0], white[rows[i], 1] = done.white[i, 0], done.white[i, 1]
+        used[rows], white[rows] = done.keep, done.white
     return status
 
 

@@ -85,7 +85,6 @@ The range has the rest."""
 ALONG = 1.0  # m. Sigma of the prior that holds a wall's pose along the wall
 CENTRED = 1e-9  # m. A point of the robot nearer to its origin is its origin
 JOINED = 1e-4  # rad; standard deviation of the difference of two merged walls
-_FREE = np.zeros((3, 3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,9 +129,7 @@ def _slam_factors(s: WallObservation, row: int) -> list[factors.Factor]:
     """Direction and distance of a wall W; the robot's point is variable `row`, unless it is the robot's origin."""
     # sigma of the distance given the direction, and of the direction
     sigma, sigma_phi = math.sqrt(s.R[0, 0] - s.R[0, 1] ** 2 / s.R[1, 1]), math.sqrt(s.R[1, 1])
-    turn = _FREE.copy()
-    turn[2, 2] = 1.0 / sigma_phi
-    model: gtsam.noiseModel.Base = factors.noise.Gaussian.SqrtInformation(turn)
+    model: gtsam.noiseModel.Base = factors.noise.Gaussian.SqrtInformation(np.diag([0.0, 0.0, 1.0 / sigma_phi]))
     normal = gtsam.Pose2(0, 0, float(s.z[1]) - s.sensor.rotation + s.name * math.pi)  # its direction in the body frame
     found: list[factors.Factor] = [gtsam.BetweenFactorPose2(X(s.frame), L(s.number), normal, model)]
     beacon, far = gtsam.Pose2(factors.BEACON, 0.0, 0.0), factors.BEACON + (-float(s.z[0]) if s.name else float(s.z[0]))
@@ -166,8 +163,12 @@ def wall_factors(
     for i, (f, n) in enumerate(zip(frame.tolist(), number.tolist(), strict=True)):
         z, R, wall, own = seen.z[i], seen.R[i], None, list[factors.Factor]()
         if n not in alpha:
-            wall = placed(sensor.inverse(pose[i], z[None])[0][0], pose[i, :2])
-            alpha[n], own = wall.theta(), [along(n, wall)]
+            near = pose[i, :2]  # the wall's point nearest to it
+            rho, direction = about(sensor.inverse(pose[i], z[None])[0][0], near)[0].tolist()
+            wall = gtsam.Pose2(near[0] + rho * math.cos(direction), near[1] + rho * math.sin(direction), direction)
+            # a prior holds it along the wall
+            model = factors.noise.Gaussian.SqrtInformation(np.diag([0.0, 1.0 / ALONG, 0.0]))
+            alpha[n], own = wall.theta(), [gtsam.PriorFactorPose2(L(n), wall, model)]
         body = _body_point(sensor, z, R)
         at = gtsam.Pose2(*pose[i].tolist()).transformFrom(body)
         point = None if np.hypot(*body) < CENTRED else (point_key(first_row + i), at)
@@ -176,19 +177,6 @@ def wall_factors(
         s = made(f, n, L(n), [], z=z, R=R, name=int(abs(turn) > 0.5 * math.pi), point=point, wall=wall)
         result.append(replace(s, measured=_slam_factors(s, first_row + i) + own))
     return result
-
-
-def placed(line: Array, near: Array) -> gtsam.Pose2:
-    """A wall (rho, alpha) as a pose on it, nearest to a point (2,)."""
-    rho, alpha = about(line, near)[0].tolist()
-    return gtsam.Pose2(near[0] + rho * math.cos(alpha), near[1] + rho * math.sin(alpha), alpha)
-
-
-def along(number: int, wall: gtsam.Pose2) -> factors.Factor:
-    """The prior that holds a wall's pose along the wall."""
-    root = _FREE.copy()
-    root[1, 1] = 1.0 / ALONG
-    return gtsam.PriorFactorPose2(L(number), wall, factors.noise.Gaussian.SqrtInformation(root))
 
 
 def same_wall(merged: int, kept: int, pose: Sequence[gtsam.Pose2], sigma: float) -> factors.Factor:
