@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -114,10 +115,7 @@ def _origins(table: TomlTable) -> Origins:
 
 def read_header(path: Path) -> Header:
     """Read and check a `log.toml`; DataError names file and key."""
-
-    def fault(what: str) -> DataError:
-        return DataError.at(path, what)
-
+    fault = partial(DataError.at, path)
     missing = "no such file; a log folder needs it, and slamref convert writes one from other files"
     return header_of(load_toml(path, fault, missing), fault)
 
