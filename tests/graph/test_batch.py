@@ -17,8 +17,7 @@ from ekf.whole_run import run_filter
 from graph.batch import smooth
 from graph.factors import UnderConstrained
 from graph.problem import Start
-from tests.graph.driving import every_sensor, solved
-from tests.graph.worlds import SENSORS, circle, order_of_creation
+from tests.graph.worlds import SENSORS, circle, every_sensor, order_of_creation, solved
 
 
 @every_sensor

@@ -13,8 +13,7 @@ from graph.optimum import NotConvergedError, optimize
 from graph.problem import Start
 from graph.qr.rows import Linearizer
 from tests.graph.calibrating import Dense, erring, errors_of
-from tests.graph.driving import both_tasks
-from tests.graph.worlds import OFF_CENTRE, SENSORS
+from tests.graph.worlds import OFF_CENTRE, SENSORS, both_tasks
 
 ODOMETRY = [n for n in ERRORS if n not in ("range", "bearing")]
 

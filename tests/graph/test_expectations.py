@@ -12,8 +12,7 @@ from ekf.slam import EkfSlam
 from graph import incremental as expected
 from graph.incremental import Isam2Smoother
 from tests.builders.estimators import ekf_of
-from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task, lagged
-from tests.graph.worlds import circle
+from tests.graph.worlds import TIGHT, both_tasks, circle, drive, every_sensor, for_task, lagged
 
 
 @every_sensor

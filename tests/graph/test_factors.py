@@ -19,7 +19,7 @@ from graph.factors import (
     prior_factor,
     root_information,
 )
-from tests.graph.driving import every_sensor
+from tests.graph.worlds import every_sensor
 
 POSE, LANDMARK = np.array([1.5, -2.0, 2.6]), np.array([3.0, 1.0])
 R = np.array([[0.04, 0.006], [0.006, 0.0025]])

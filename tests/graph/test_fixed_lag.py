@@ -16,8 +16,19 @@ from ekf.whole_run import run_filter
 from graph.batch import smooth
 from graph.incremental import Isam2Smoother
 from graph.problem import Start
-from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task, lagged, resting, two_sensors
-from tests.graph.worlds import SENSORS, circle, order_of_creation
+from tests.graph.worlds import (
+    SENSORS,
+    TIGHT,
+    both_tasks,
+    circle,
+    drive,
+    every_sensor,
+    for_task,
+    lagged,
+    order_of_creation,
+    resting,
+    two_sensors,
+)
 
 
 def held(smoother):

@@ -17,8 +17,20 @@ from graph.engine import Engine
 from graph.factors import UnderConstrained, between_factors
 from graph.incremental import Isam2Smoother
 from graph.problem import Start
-from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task, lagged, parted, resting, solved
-from tests.graph.worlds import SENSORS, circle, truncated
+from tests.graph.worlds import (
+    SENSORS,
+    TIGHT,
+    both_tasks,
+    circle,
+    drive,
+    every_sensor,
+    for_task,
+    lagged,
+    parted,
+    resting,
+    solved,
+    truncated,
+)
 
 
 @every_sensor

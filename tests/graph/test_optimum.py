@@ -15,8 +15,7 @@ from graph.batch import build, smooth
 from graph.optimum import NotConvergedError, in_world
 from graph.problem import Start
 from tests.builders import logs
-from tests.graph.driving import every_sensor, solved
-from tests.graph.worlds import circle
+from tests.graph.worlds import circle, every_sensor, solved
 from tests.quick import slow
 
 

@@ -11,8 +11,8 @@ from data.pose_measurements import Fixes, expected_closure
 from data.sensors import RelativePoint
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
-from tests.graph.driving import TIGHT
 from tests.graph.test_pose_factors import SOURCES, closures_of, dense, drive, fix_error, found
+from tests.graph.worlds import TIGHT
 
 
 def stepped(inputs, smoother, gate=None, until=None):

@@ -14,8 +14,7 @@ from data.worlds.arena import Arena, simulate
 from ekf.whole_run import run_filter
 from graph.batch import gnc, smooth
 from graph.problem import Start
-from tests.graph.driving import both_tasks, for_task
-from tests.graph.worlds import SENSORS, circle
+from tests.graph.worlds import SENSORS, both_tasks, circle, for_task
 from tests.quick import slow
 
 

@@ -16,8 +16,7 @@ from data.formats.results.reading import read_path
 from eval.referee.given.runs import TruePath, given_run, truth_log
 from eval.referee.space_scores import columns_in_space
 from eval.score import main as score
-from tests.oracle import evo_space
-from tests.oracle.evo_numbers import SAID, files
+from tests.oracle.evo_numbers import SAID, SAID_IN_SPACE, files, files_in_space
 
 VERSION = "1.38.1"
 
@@ -40,11 +39,11 @@ def test_its_recorded_numbers_are_ours(said, folder, capsys):
 @pytest.fixture(scope="module")
 def in_space(tmp_path_factory):
     folder = tmp_path_factory.mktemp("evo3")
-    evo_space.files(folder)
+    files_in_space(folder)
     return folder
 
 
-@pytest.mark.parametrize("said", evo_space.SAID, ids=lambda s: f"{s.call} {s.estimate}")
+@pytest.mark.parametrize("said", SAID_IN_SPACE, ids=lambda s: f"{s.call} {s.estimate}")
 def test_its_recorded_numbers_in_space_are_ours(said, in_space):
     estimate, truth = (read_path(str(in_space / f"{name}.tum")) for name in (said.estimate, "truth"))
     run = given_run("a", "slam", {"final": estimate}, truth_log("truth", truth), TruePath.of(truth), align=said.align)
@@ -60,7 +59,7 @@ def test_its_recorded_numbers_in_space_are_ours(said, in_space):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("set_of", [(SAID, files), (evo_space.SAID, evo_space.files)], ids=["plane", "space"])
+@pytest.mark.parametrize("set_of", [(SAID, files), (SAID_IN_SPACE, files_in_space)], ids=["plane", "space"])
 def test_the_recorded_numbers_are_what_it_says(set_of, request, tmp_path):
     recorded, write = set_of
     folder = tmp_path / "files"

@@ -237,7 +237,7 @@ def test_results_in_space_have_a_file(tmp_path):
     from data.formats.results.reading import read_path
     from eval.referee.given.runs import TruePath, truth_log
     from eval.report.results import space_rows
-    from tests.oracle.evo_space import files
+    from tests.oracle.evo_numbers import files_in_space as files
 
     files(tmp_path)
     truth, estimate = (read_path(str(tmp_path / f"{name}.tum")) for name in ("truth", "estimate"))

@@ -18,7 +18,7 @@ from graph.incremental import Isam2Smoother
 from graph.open_end import PINNED, OpenEnd, increment_factor, knot_factor, linear_factor, pinned_landmark_factors
 from graph.systematic import CONSTANTS, drift_key, errors_of
 from tests.graph.calibrating import as_sensed, erring
-from tests.graph.driving import TIGHT, drive
+from tests.graph.worlds import TIGHT, drive
 
 OFF_CENTRE = {"rotation": 0.6, "translation": (0.3, -0.2)}
 ODOMETRY = ("scale", "curvature", "left", "right")

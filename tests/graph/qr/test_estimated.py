@@ -12,8 +12,7 @@ from data.sensors import RangeBearing
 from graph.batch import smooth
 from graph.qr.score_test import systematic
 from tests.graph.calibrating import erring, errors_of
-from tests.graph.driving import both_tasks
-from tests.graph.worlds import OFF_CENTRE, SENSORS
+from tests.graph.worlds import OFF_CENTRE, SENSORS, both_tasks
 
 H = 1e-6
 

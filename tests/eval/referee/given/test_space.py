@@ -12,7 +12,7 @@ from data.formats.results.path import LEFT, LOCAL, MIXED, WORLD, Spatial, Stated
 from data.formats.results.space import moved
 from eval.referee.given.in_space import InSpace, Poses, aligning, relative_columns
 from eval.referee.space_scores import columns_in_space
-from tests.oracle.evo_space import poses as recorded
+from tests.oracle.evo_numbers import paths_in_space as recorded
 from tests.quick import slow
 
 ORDER = TangentOrder.TRANS_ROT
