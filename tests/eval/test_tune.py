@@ -13,7 +13,7 @@ from data.truth import Truth
 from data.worlds.arena import simulate
 from eval.tune import main
 from eval.tuning import Numbers, tune
-from tests.eval.tuning.stated import SMALL, changed
+from tests.eval.tuning.stamped import SMALL, changed
 
 
 @pytest.fixture

@@ -1,12 +1,17 @@
-"""Logs with odometry.csv whose latency, noise, biases and scales are known: what `eval.tune` ought to find."""
+"""Logs with odometry.csv whose latency, noise, biases and scales are known: what `eval.tune` ought to find.
 
-from dataclasses import dataclass
+Small arenas of which the stated noise is wrong.
+"""
+
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from data.inputs import Increments, Observations
 from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from data.sensors import RangeBearing
+from data.worlds.arena import Arena
 
 DT, EVERY = 0.05, 8
 """Odometry at 20 Hz, readings every 0.4 s."""
@@ -92,3 +97,24 @@ def scattered(rng, places):
     tried = places.mean(axis=0) + rng.uniform(-SIZE, SIZE, (400, 2))
     away = np.linalg.norm(tried[:, None] - places, axis=2).min(axis=1)
     return tried[away > CLEARANCE][:20]
+
+
+SMALL = Arena(frames=80)
+
+
+def changed(log, *, noise=1.0, bias=(0.0, 0.0), scale=(1.0, 1.0)):
+    """The log with sigmas stated `noise` times too large, biased readings and odometry that counts `scale` too much."""
+    r = log.recorded
+    o, mean = r.observations, r.increments.mean * np.array([scale[0], scale[0], scale[1]])
+    return replace(
+        log,
+        recorded=replace(
+            r,
+            increments=Increments(mean, r.increments.covariance * noise**2),
+            observations=Observations(o.frame, o.z + np.array(bias), o.R * noise**2),
+        ),
+    )
+
+
+def by_name(model, values):
+    return dict(zip([p.name for p in model.parameters], values, strict=True))

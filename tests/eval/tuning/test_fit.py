@@ -9,7 +9,7 @@ from data.inputs import Increments
 from data.motion.velocity import VelocityModel, VelocityNoise
 from data.worlds.arena import simulate
 from eval import tuning
-from tests.eval.tuning.stated import SMALL, by_name, changed
+from tests.eval.tuning.stamped import SMALL, by_name, changed
 from tests.quick import slow
 
 NOISE = ("motion", "sensor")

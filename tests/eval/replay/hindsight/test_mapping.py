@@ -1,4 +1,6 @@
-"""SLAM over a window: after a round with wrong odometry, what was initialized again is recognized and merged."""
+"""SLAM over a window: after a round with wrong odometry, what was initialized again is recognized and merged; people in
+the corridor are retracted in the end.
+"""
 
 from collections import Counter
 
@@ -9,13 +11,17 @@ from data import se2
 from data.inputs import Increment, Systematic
 from data.motion.systematic import CURVATURE, LEFT, RIGHT, SCALE, corrected
 from data.notice import Code
-from data.result import NEW, revised
+from data.result import DISCARD, NEW, revised
 from data.sensors import RangeBearing, RelativePoint
+from data.worlds.registry import named_log
+from eval.referee.score import confusion_of
 from eval.replay.batch import batch
-from eval.replay.hindsight.ledger import MERGED
+from eval.replay.hindsight.ledger import MERGED, REASSOCIATED
 from eval.replay.hindsight.mapper import TIGHT, with_tight
-from eval.replay.run import step_by_step
+from eval.replay.run import compare, step_by_step
+from eval.replay.settings import Setup
 from tests.builders.logs import increments_of, inputs_of, observations_of, still
+from tests.quick import slow
 
 METHOD = "jcbb-hindsight"
 PLACE = np.array([SCALE, CURVATURE, LEFT, RIGHT])
@@ -185,3 +191,56 @@ def test_who_decides_keeps_its_own_errors_beside_those_of_the_run():
     assert both.names == ("scale", "curvature", "left", "right", "drift", "bearing")
     assert both.sigma.tolist() == [0.02, 0.05, 0.05, 0.05, 1.25e-3, 0.1]
     assert with_tight(None) is TIGHT
+
+
+@pytest.fixture(scope="module", params=[(7,), pytest.param((4, 11), marks=pytest.mark.slow)], ids=str)
+def people(request):
+    return [named_log(f"corridor:{seed}:people") for seed in request.param]
+
+
+@pytest.fixture(scope="module")
+def laid(people):
+    return {name: [compare(log.inputs(), "slam", [name], METHOD)[0] for log in people] for name in ("ekf", "isam2")}
+
+
+@pytest.mark.parametrize("name", ["ekf", "isam2"])
+def test_people_are_retracted_and_points_are_kept(people, laid, name):
+    for log, run in zip(people, laid[name]):
+        online, final = confusion_of(run, log, "online"), confusion_of(run, log, "final")
+        known = int((log.truth.landmark_of >= 0).sum()) - 88  # the first observation of each point initializes it
+        assert online.fp > final.fp
+        assert final.fp <= 8
+        assert final.tp >= 0.96 * known
+        assert 86 <= len(run.map) <= 90
+
+
+def test_a_retracted_landmark_is_out_of_the_map_with_every_decision_for_it(laid):
+    for run in laid["ekf"] + laid["isam2"]:
+        gone = np.flatnonzero(run.removed >= 0)
+        assert len(gone)
+        assert not np.isin(run.map.number, gone).any()
+        assert not np.isin(run.final_decisions, gone).any()
+        left = run.initialized
+        assert not np.isin(left, gone).any()
+        # who is in the map was initialized once, and is seen as often as it says
+        assert sorted(left[left >= 0]) == run.map.number.tolist()
+        assert run.map.times_seen.tolist() == [(run.final_decisions == n).sum() + 1 for n in run.map.number]
+
+
+def test_events_come_in_the_order_of_frames_and_name_their_reason(laid):
+    for run in laid["ekf"]:
+        frames = [e.frame for e in run.events]
+        assert frames == sorted(frames)
+        assert {e.why for e in run.events} <= {"moved", "missed", "uncertain", REASSOCIATED}
+        assert {e.why for e in run.events if e.frame < frames[-1]} >= {"missed"}
+        assert {e.new for e in run.events if e.why != REASSOCIATED} == {DISCARD}
+
+
+@pytest.mark.parametrize(
+    "setup", [Setup(maintain=True), slow(Setup(forget_after=8.0)), slow(Setup(deactivate_after=8.0))]
+)
+def test_hindsight_goes_with_the_other_ways_out_of_the_map(people, setup):
+    log = people[0]
+    plain, run = (compare(log.inputs(), "slam", ["ekf"], method, setup)[0] for method in ("jcbb", METHOD))
+    assert run.failure is None
+    assert confusion_of(run, log, "final").fp < 0.8 * confusion_of(plain, log, "final").fp
