@@ -1,4 +1,4 @@
-"""Pages of the docs: their Python and commands run, what they name is there, public names have examples."""
+"""Pages of the docs: their Python and commands run, what they name and advise is there, public names have examples."""
 
 import ast
 import doctest
@@ -18,7 +18,7 @@ import pytest
 from matplotlib import image
 
 import slamref
-from data.convert.__main__ import parser as convert_parser
+from data.convert.__main__ import parser, parser as convert_parser
 from eval.plan.flags.options import read_options
 from tests.documents import course, measured
 from tests.documents.__main__ import PAGES as PAGES_WRITTEN
@@ -253,3 +253,19 @@ def test_a_lesson_runs_within_a_minute_and_shows_what_its_page_says(name):
     drawn, kept = (image.imread(source) for source in (io.BytesIO(found.picture), course.PAGES / f"{name}.png"))
     assert drawn.shape == kept.shape
     assert np.abs(drawn - kept).mean() < 0.01
+
+
+ADVICE = re.compile(
+    r"`([^`]*--[^`]*)` of `slamref convert ?(\w*)|"
+    r"slamref convert (\w+) ((?:(?!slamref)[^`\n\"])*--(?:(?!slamref)[^`\n\"])*)"
+)
+
+
+def test_a_command_has_the_flags_that_are_advised():
+    kinds = parser()._subparsers._group_actions[0].choices | {"KIND": parser()}
+    for path in (p for of in ("data", "eval", "wings", "docs") for p in Path(ROOT, of).rglob("*")):
+        if path.suffix not in (".j2", ".py", ".toml", ".md"):
+            continue
+        for before, kind, other, after in ADVICE.findall(path.read_text(encoding="utf-8")):
+            known = kinds[kind or other]._option_string_actions if kind or other else ()
+            assert [f for f in re.findall(r"--[a-z][a-z-]*", before + after) if f not in known] == [], path
