@@ -18,7 +18,7 @@ from eval.plan.flags.table import Output
 from eval.player.pack import Pack
 from eval.player.scene import add_path
 from eval.player.watch import spread
-from eval.referee.confusion import Confusion, confuse
+from eval.referee.confusion import OUTCOMES, Confusion, confuse
 from eval.referee.consistency import mean_or_nan
 from eval.referee.errors import along, rms
 from eval.referee.result_files import TEAM
@@ -29,7 +29,6 @@ from eval.report.words import say
 from wings.cooperative.runs import TeamRun
 from wings.cooperative.team import Team, TeamInputs
 
-COUNTS = ("tp", "tn", "fp", "fn")
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
 """Of robots, by Okabe and Ito, which colour-blind readers can tell apart; then again from the first."""
 
@@ -72,8 +71,9 @@ def rows_of(log: Log, run: Run) -> list[dict[str, object]]:
         row: dict[str, object] = {**names, "association": run.association, "phase": phase, "status": run.status}
         if (path := along(run, phase, log)) is not None:
             row |= {"rmse_position_m": rms(path.distance), "nees_pose": mean_or_nan(path.nees["pose"])}
-        if isinstance(run, TeamRun) and run.failure is None:
-            row |= {f"robots_{k}": v for k, v in identities(given.team, given.robot, run.sighted).items()}
+        sighted = run.sighted if isinstance(run, TeamRun) and run.failure is None else None
+        if sighted is not None and (counts := judged(given.team, given.robot, sighted)) is not None:
+            row |= {f"robots_{name}": getattr(counts, name) for name in OUTCOMES}
         made.append(row)
     return made
 
@@ -85,12 +85,6 @@ def judged(team: Team, row: int, sighted: IntArray) -> Confusion | None:
     places = LandmarkMap(others, np.zeros((len(others), 2)))
     label, none = team.encounters.label[seen], np.full(len(seen), -1, np.int64)
     return confuse(team.encounters.instant[seen], label, sighted, none, places)
-
-
-def identities(team: Team, row: int, sighted: IntArray) -> dict[str, int]:
-    """The counts TP, TN, FP and FN of `judged`."""
-    counts = judged(team, row, sighted)
-    return {} if counts is None else {name: getattr(counts, name) for name in COUNTS}
 
 
 @drawing()

@@ -27,8 +27,8 @@ from eval.report.terminal import groups_of
 from tests.builders.logs import increments_of, inputs_of, observations_of
 from tests.builders.unpacked import unpacked
 from wings.cooperative.experiments import experiments, named_team, team_logs
-from wings.cooperative.filters import Gates, TeamFilter, independent, intersected
-from wings.cooperative.report import identities, rows_of
+from wings.cooperative.report import judged, rows_of
+from wings.cooperative.runs import Gates, TeamFilter, independent, intersected
 from wings.cooperative.team import team_of
 from wings.cooperative.world import Team, simulate_all
 
@@ -139,12 +139,12 @@ def test_smoother_and_filter_agree_with_the_truth_as_they_claim(task):
 def test_robots_are_told_apart_by_place():
     (log, *_) = simulate_all(Team(robots=3, frames=40, landmarks=8), 2)
     (run,) = compare(log.inputs(), "localization", ["ekf"], "nn")
-    counts = identities(log.recorded.team, 0, run.sighted)
-    assert sum(counts.values()) == len(log.recorded.team.of(0))
-    assert counts["tp"] > 0.9 * sum(counts.values())
+    found, every = judged(log.recorded.team, 0, run.sighted), len(log.recorded.team.of(0))
+    assert found.tp + found.tn + found.fp + found.fn == every
+    assert found.tp > 0.9 * every
     wrong = np.where(run.sighted == 2, 3, np.where(run.sighted == 3, 2, run.sighted))
-    assert identities(log.recorded.team, 0, wrong)["fp"] == counts["tp"]
-    assert identities(log.recorded.team, 0, np.full(len(wrong), DISCARD))["fn"] == sum(counts.values())
+    assert judged(log.recorded.team, 0, wrong).fp == found.tp
+    assert judged(log.recorded.team, 0, np.full(len(wrong), DISCARD)).fn == every
 
 
 def test_experiments_are_every_robot_with_every_exchange():
