@@ -49,7 +49,7 @@ def open_serial(device: str, baud: int) -> Serial:
     return port
 
 
-class Link:
+class Link(contextlib.AbstractContextManager["Link"]):
     """A link to the robot; `with` closes it. `exchange` counts commands, answers and faults."""
 
     def __init__(
@@ -144,9 +144,6 @@ class Link:
         if self._port is not None:
             self._port.close()
             self._port = None
-
-    def __enter__(self) -> Link:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -28,6 +28,7 @@ from wings.robot.traffic import HEADER, PACKETS, Packet, decoded, read_recording
 from wings.robot.walls import SIGMA, USUAL_FIT
 
 SENSOR = Line(max_range=LONGEST_RANGE + RADIUS)  # distances are from the robot's centre; the sonars sit on its rim
+PRIOR = Prior(np.zeros(3), np.zeros((3, 3)))  # exact: the first frame is the origin
 ROUNDING = 1e-3 * math.sqrt(2.0 / 12.0)
 """m, rad, standard deviation of a difference of two numbers rounded to whole mm or mrad; measured increment NEES 2.9
 (expected 3). These errors cancel over many steps, which the model ignores."""
@@ -65,11 +66,6 @@ class Framing:
         return Frame(number, packet.t, increment, seen, None, first)
 
 
-def prior() -> Prior:
-    """Exact prior: the first frame is the origin."""
-    return Prior(np.zeros(3), np.zeros((3, 3)))
-
-
 def inputs_of(frames: Sequence[Frame], known: LandmarkMap | None = None, scans: Scans | None = None) -> Inputs:
     """Frames (at least one) as the inputs of a log, bit for bit."""
     n = len(frames)
@@ -83,7 +79,7 @@ def inputs_of(frames: Sequence[Frame], known: LandmarkMap | None = None, scans: 
     time = np.array([frame.time for frame in frames])
     at_rest = int((covariance[:, 0, 0] == FLOOR).sum())
     motion = Increments(mean, covariance)
-    return Inputs(prior(), time, motion, seen, SENSOR, known, covariance_floor=FLOOR, floored=at_rest, scans=scans)
+    return Inputs(PRIOR, time, motion, seen, SENSOR, known, covariance_floor=FLOOR, floored=at_rest, scans=scans)
 
 
 def scans_of(packets: Sequence[Packet], sigma: float) -> Scans | None:

@@ -26,7 +26,7 @@ TRUTH_PERIOD = 0.05  # s of robot time between rows of the truth
 LONGEST_WAIT = 0.05  # s of real time to wait for a byte before the robot moves on
 
 
-class Terminal:
+class Terminal(contextlib.AbstractContextManager["Terminal"]):
     """A pseudo-terminal with a symbolic link to the end that serves as serial device; `with` removes it."""
 
     def __init__(self, path: Path) -> None:
@@ -60,9 +60,6 @@ class Terminal:
     def _close(self) -> None:
         os.close(self.master)
         os.close(self._slave)  # held open until now, so that a reader may come and go
-
-    def __enter__(self) -> Terminal:
-        return self
 
     def __exit__(self, *_: object) -> None:
         if self._path.is_symlink() and os.readlink(self._path) == self._device:

@@ -26,6 +26,7 @@ import struct
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -71,7 +72,7 @@ class Recorded(NamedTuple):
     lidar_sigma: float | None = None  # m, standard deviation of a lidar's range; None: no lidar
 
 
-class Recording:
+class Recording(AbstractContextManager["Recording"]):
     """A recording being written; `with` closes it."""
 
     def __init__(
@@ -107,9 +108,6 @@ class Recording:
             (self.folder / name).unlink()
         if not any(self.folder.iterdir()):
             self.folder.rmdir()
-
-    def __enter__(self) -> "Recording":
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

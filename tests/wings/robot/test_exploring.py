@@ -8,8 +8,7 @@ from eval.replay.settings import Setup
 from tests.quick import slow
 from wings.laser.scans.occupancy import Grid, occupancy_grid
 from wings.robot.exploring import CELL, ROOM, Explorer, path_to_frontier
-from wings.robot.live.scanning import ScanEstimating
-from wings.robot.live.session import Session
+from wings.robot.live.session import ScanEstimating, Session
 from wings.robot.packets import PERIOD, command_of
 from wings.robot.simulated import Lidar, Robot, floor_of, room
 from wings.robot.traffic import Unwrapper

@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data.command import Command
 from data.errors import UsageError
 from data.terminal import ending
 from eval.plan.flags import command_of
@@ -34,16 +33,11 @@ SHARED = (
 DEFAULTS = {"association": "jcbb", "estimator": "ekf"}
 
 
-def parser(prog: str = PROG) -> Command:
-    """The flags."""
-    p = command_of(prog, PROG, "step")
-    add_flags(p, SHARED)
-    return p
-
-
 def read(argv: Sequence[str] | None, prog: str = PROG) -> Namespace:
     """Checked flags: `options`, those that are `stated`, and the rest by name; UsageError for invalid ones."""
-    given = vars(parser(prog).read(argv))
+    parser = command_of(prog, PROG, "step")
+    add_flags(parser, SHARED)
+    given = vars(parser.read(argv))
     given["log"] = logs = [*given.pop("words"), *given.get("log", [])]
     if len(logs) != 1:
         raise UsageError(f"{' '.join(logs) or 'no log'}: one log is needed, as in `{prog} corridor:0`")

@@ -9,7 +9,6 @@ from contextlib import ExitStack, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from data.command import Command
 from data.errors import UsageError
 from data.terminal import INTERRUPTED, WRONG, ending
 from eval.plan.console import say
@@ -43,18 +42,13 @@ WITH_LIDAR = {"estimator": f"ekf-fej,{SCAN_ESTIMATOR}", "association": f"jcbb,{S
 REPORT = "-report"
 
 
-def parser(prog: str = PROG) -> Command:
-    """The command's flags."""
-    p = command_of(prog, PROG, "live")
-    add_flags(p, SHARED)
-    return p
-
-
 def read(argv: Sequence[str] | None, prog: str = PROG) -> Namespace:
     """The checked flags, with `options`, those `given` that are shared, the association `by_walls` (None: only scans),
     and whether estimates are `by_scans`; `lidar_sigma`: None without a lidar. Raises UsageError.
     """
-    wish = parser(prog).read(argv)
+    parser = command_of(prog, PROG, "live")
+    add_flags(parser, SHARED)
+    wish = parser.read(argv)
     wish.given = WITH_LIDAR if wish.lidar else DEFAULTS
     wish.given = wish.given | {row.name: getattr(wish, row.name) for row in SHARED if hasattr(wish, row.name)}
     if wish.given["association"] == SCAN and not hasattr(wish, "estimator"):
@@ -130,10 +124,9 @@ def _drive(wish: Namespace, presses: Presses, stack: ExitStack) -> None:
     from wings.robot.driving import WallFollower
     from wings.robot.exploring import Explorer
     from wings.robot.link import Clock, Link
-    from wings.robot.live.drive import Looking, at_rest, drive
+    from wings.robot.live.drive import Looking, drive
     from wings.robot.live.feed import Feed, Server
-    from wings.robot.live.scanning import GridPainter, ScanEstimating
-    from wings.robot.live.session import Session, Taken, estimates, rehearse
+    from wings.robot.live.session import GridPainter, ScanEstimating, Session, Taken, estimates, rehearse
     from wings.robot.log import USUAL
     from wings.robot.traffic import Recording
 
@@ -188,7 +181,7 @@ def _drive(wish: Namespace, presses: Presses, stack: ExitStack) -> None:
         explorer = None
         if wish.drive == "explore" and scanning is not None:
             explorer = Explorer(scanning.scans, lambda: scanning.pose)
-        policy = explorer or (WallFollower(wish.fit) if wish.drive == "walls" else at_rest)
+        policy = explorer or (WallFollower(wish.fit) if wish.drive == "walls" else lambda _: (0.0, 0.0))
 
         def over() -> bool:
             return presses.count > 0 or clock.now() >= wish.seconds or (explorer is not None and explorer.finished)

@@ -1,32 +1,28 @@
 """The loop of a drive: command, answer, estimates; signals are deferred to the time between two packets."""
 
+import math
 import signal
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from data.se2 import wrap_angle
 from wings.robot.link import Clock, Link
 from wings.robot.live.feed import MINUTE, Feed, header
-from wings.robot.live.scanning import GridPainter
-from wings.robot.live.session import Latencies, Session, Step, Taken, estimator_words, latency_table, status_line
+from wings.robot.live.session import GridPainter, Latencies, Session, Step, Taken
 from wings.robot.packets import PERIOD, WATCHDOG, Command, command_of
 from wings.robot.traffic import Packet
 
 REST = Command(0, 0)
 SECOND = 1.0  # s of real time between status lines
 
-Policy = Callable[[Packet], tuple[float, float]]
-
-
-def at_rest(packet: Packet) -> tuple[float, float]:
-    """The policy of `--drive none`."""
-    return 0.0, 0.0
-
 
 def drive(
-    link: Link, clock: Clock, session: Session, policy: Policy, stop: Callable[[], bool],
-    look: Callable[[float], None] = lambda t: None, latencies: Latencies | None = None,
+    link: Link, clock: Clock, session: Session, policy: Callable[[Packet], tuple[float, float]],
+    stop: Callable[[], bool], look: Callable[[float], None] = lambda t: None, latencies: Latencies | None = None,
 ) -> None:  # fmt: skip
     """Drive until `stop`, then command rest, as after a silence of `WATCHDOG`; every received packet is processed, and
     `look` is called after each period with the robot's time [s].
@@ -110,6 +106,39 @@ class Looking:
             self._say(line)
         if self._feed is not None:
             self._feed.publish(maps, header(self._name, s.estimating, line))
+
+
+def estimator_words(name: str, step: Step | None, counted: str, failure: str) -> str:
+    """An estimator with its newest pose and 3 sigma (m, degrees) and how much it has mapped, or its end."""
+    if failure or step is None:
+        return f"{name} ended" if failure else f"{name} waits"
+    x, y, heading = 3.0 * np.sqrt(np.maximum(np.diag(step.covariance), 0.0))
+    at = f"x {step.mean[0]:.3f} ± {x:.3f}, y {step.mean[1]:.3f} ± {y:.3f} m"
+    degrees = math.degrees(float(wrap_angle(float(step.mean[2]))))
+    return f"{name} {at}, heading {degrees:.1f} ± {math.degrees(heading):.1f}°" + (f", {counted}" if counted else "")
+
+
+def latency_table(titles: Sequence[str], spent: Sequence[Latencies], period: float) -> list[str]:
+    """Lines of a table: time of each estimator by frame, and whether it stays below the `period` [s] of real time."""
+    width = max(map(len, ("estimator", *titles)))
+    lines = [f"{'estimator':{width}}  median    99 %  longest  [ms a frame; period {1e3 * period:g}]"]
+    for title, own in zip(titles, spent, strict=True):
+        cells = (own.within(0.5), own.within(0.99), own.longest)
+        if math.isfinite(cells[0]):
+            lines.append(f"{title:{width}}  {1e3 * cells[0]:6.1f}  {1e3 * cells[1]:6.1f}  {1e3 * cells[2]:7.1f}")
+    return lines
+
+
+def status_line(t: float, names: Sequence[str], faults: Mapping[str, int], latencies: Latencies, period: float) -> str:
+    """The status; `period` [s]: real time between frames, beyond which an estimate is late."""
+    counted = ", ".join(f"{name} {count}" for name, count in faults.items() if count)
+    parts = [f"{t:7.1f} s", *names, f"link: {counted or 'no faults'}"]
+    soon = latencies.within(0.99)
+    if math.isfinite(soon):
+        parts.append(f"latency {1e3 * latencies.longest:.1f} ms, 99 % < {1e3 * soon:.1f} ms")
+    if latencies.longest > period:
+        parts.append(f"late: {latencies.longest:.2f} s, longer than a period of {period:g} s")
+    return " | ".join(parts)
 
 
 class Presses:

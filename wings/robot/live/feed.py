@@ -9,6 +9,7 @@ Chunks are those of the player (`eval.player.scene`). Landmarks are walls: x and
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -85,7 +86,7 @@ class Published:
     large: tuple[Chunk, ...] = ()  # in the order of time; a minute may be in both
     small: tuple[Chunk, ...] = ()
     ended: bool = False  # no more will come
-    grid: bytes | None = None  # the newest one, as of `wings.robot.live.scanning.GridPainter`
+    grid: bytes | None = None  # the newest one, as of `wings.robot.live.session.GridPainter`
     grids: int = 0  # how many there have been
 
     @property
@@ -184,7 +185,7 @@ HEADERS = {
 }  # fmt: skip
 
 
-class Server:
+class Server(AbstractContextManager["Server"]):
     """HTTP server of the page, in its own threads: read only, the page and its chunks, no files; `with` ends it.
 
     Bound to 127.0.0.1. Other pages in the same browser cannot read it: foreign host names (even if they resolve to
@@ -201,9 +202,6 @@ class Server:
         self.address = f"http://{ADDRESS}:{self._http.server_address[1]}/"  # of the page
         self._thread = threading.Thread(target=self._http.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True)
         self._thread.start()
-
-    def __enter__(self) -> "Server":
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._http.shutdown()

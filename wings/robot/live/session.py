@@ -2,25 +2,30 @@
 
 The steps are those of a replay (`eval.replay.run.through`), so a replayed recording gives the same numbers. A failure
 ends one estimator alone. Also here: estimates written to CSV at once; a rehearsal, so that nothing is compiled while
-the robot moves (compiling a kernel takes seconds, loading one 40 ms; a frame has 250 ms); and the status line.
+the robot moves (compiling a kernel takes seconds, loading one 40 ms; a frame has 250 ms). With a
+lidar: graph SLAM by scan matching, by the front end of laser logs, a frame at a time, and its grid.
 """
 
+import base64
+import io
+import json
 import math
 import time
 from abc import ABC, abstractmethod
 from array import array
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from PIL import Image
 
 from data.errors import UsageError
-from data.inputs import Frame, IntArray
+from data.inputs import Frame, Increment, IntArray, Scanner
 from data.result import DISCARD, MapState, Updated
-from data.se2 import Array, wrap_angle
+from data.se2 import Array
 from data.terminal import message_of
 from ekf.slam import EkfSlam
 from eval.player.watch import map_now
@@ -31,14 +36,17 @@ from eval.replay.settings import Beginning, Setup
 from graph.factors import UnderConstrained
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
+from wings.laser.scans.occupancy import Grid, occupancy_grid
+from wings.laser.slam.incremental import ScanSlam
+from wings.laser.slam.parameters import LaserParameters
 from wings.robot.driving import WallFollower
-from wings.robot.log import SENSOR, USUAL, Framing, Noise, prior
+from wings.robot.log import PRIOR, SENSOR, USUAL, Framing, Noise
 from wings.robot.packets import Scan
 from wings.robot.simulated import Lidar, drive, room
 from wings.robot.traffic import Packet
 from wings.robot.walls import USUAL_FIT
 
-ROBOT = Beginning(prior(), SENSOR)  # SLAM from the origin
+ROBOT = Beginning(PRIOR, SENSOR)  # SLAM from the origin
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,9 +203,6 @@ def rehearse(names: Sequence[str], association: str, setup: Setup, scanning: Onl
         each.map()
 
 
-SIGMAS = 3.0
-
-
 class Latencies:
     """Latencies [s] of a drive; `longest`: of those since `begin`."""
 
@@ -219,34 +224,92 @@ class Latencies:
         return float(np.quantile(self._all, share)) if self._all else math.nan
 
 
-def estimator_words(name: str, step: Step | None, counted: str, failure: str) -> str:
-    """An estimator with its newest pose and 3 sigma (m, degrees) and how much it has mapped, or its end."""
-    if failure or step is None:
-        return f"{name} ended" if failure else f"{name} waits"
-    x, y, heading = SIGMAS * np.sqrt(np.maximum(np.diag(step.covariance), 0.0))
-    at = f"x {step.mean[0]:.3f} ± {x:.3f}, y {step.mean[1]:.3f} ± {y:.3f} m"
-    degrees = math.degrees(float(wrap_angle(float(step.mean[2]))))
-    return f"{name} {at}, heading {degrees:.1f} ± {math.degrees(heading):.1f}°" + (f", {counted}" if counted else "")
+Scanned = tuple[Array, Array, Scanner]  # poses (n, 3), scans (n, B), of one scanner
 
 
-def latency_table(titles: Sequence[str], spent: Sequence[Latencies], period: float) -> list[str]:
-    """Lines of a table: time of each estimator by frame, and whether it stays below the `period` [s] of real time."""
-    width = max(map(len, ("estimator", *titles)))
-    lines = [f"{'estimator':{width}}  median    99 %  longest  [ms a frame; period {1e3 * period:g}]"]
-    for title, own in zip(titles, spent, strict=True):
-        cells = (own.within(0.5), own.within(0.99), own.longest)
-        if math.isfinite(cells[0]):
-            lines.append(f"{title:{width}}  {1e3 * cells[0]:6.1f}  {1e3 * cells[1]:6.1f}  {1e3 * cells[2]:7.1f}")
-    return lines
+class ScanEstimating(Online):
+    """The online estimator of scans, called as in a replay."""
+
+    name, association, title, smooths = "isam2", "scan", "isam2 scan", True
+
+    def __init__(self, setup: Setup, sigma: float) -> None:
+        """`sigma` [m]: standard deviation of a range."""
+        self.slam: ScanSlam | None = None  # from the first scan on, which tells what the scanner is
+        self.pose: Array | None = None  # (3,), the newest, from then on
+        self._newest: Array | None = None  # (B,) m, the scan from there
+        self._parameters = LaserParameters(keyframe_distance=setup.keyframe_distance)
+        self._sigma = sigma
+        self._before: list[tuple[Increment | None, float]] = []  # frames until then
+        self._time = 0.0
+
+    def _take(self, frame: Frame, scan: Scan | None) -> Step | None:
+        seconds = frame.time - self._time if frame.number else 0.0
+        self._time = frame.time
+        if self.slam is None:
+            if scan is None:
+                self._before.append((frame.increment, seconds))
+                return None
+            scanner, beams = scan.beams.scanner(self._sigma), scan.beams.number
+            self.slam = ScanSlam(PRIOR, scanner, beams, self._parameters, with_covariance=True)
+            for earlier, passed in self._before:
+                self.slam.step(earlier, None, passed)
+            self._before = []
+        mean = self.slam.step(frame.increment, None if scan is None else scan.metres, seconds)
+        self.pose, nothing = mean, len(frame.observations.z)
+        self._newest = None if scan is None else scan.metres
+        return Step(mean, self.slam.covariance, np.full(nothing, DISCARD), np.full(nothing, -1), np.nan)
+
+    def map(self) -> MapState | None:
+        """None: its map is a grid."""
+        return None
+
+    def scans(self) -> Scanned | None:
+        """Poses (n, 3) and scans (n, B) [m] of the key poses and of the newest frame; None before the first scan."""
+        if self.slam is None:
+            return None
+        poses, ranges = self.slam.poses, [self.slam.closer.ranges(k) for k in range(len(self.slam.poses))]
+        if self._newest is not None and self.pose is not None:
+            poses, ranges = np.vstack([poses, self.pose]), [*ranges, self._newest]
+        return poses, np.array(ranges), self.slam.scanner
+
+    def counted(self) -> str:
+        """Its size in words."""
+        return "" if self.slam is None else f"key poses {len(self.slam.frames)}"
 
 
-def status_line(t: float, names: Sequence[str], faults: Mapping[str, int], latencies: Latencies, period: float) -> str:
-    """The status; `period` [s]: real time between frames, beyond which an estimate is late."""
-    counted = ", ".join(f"{name} {count}" for name, count in faults.items() if count)
-    parts = [f"{t:7.1f} s", *names, f"link: {counted or 'no faults'}"]
-    soon = latencies.within(0.99)
-    if math.isfinite(soon):
-        parts.append(f"latency {1e3 * latencies.longest:.1f} ms, 99 % < {1e3 * soon:.1f} ms")
-    if latencies.longest > period:
-        parts.append(f"late: {latencies.longest:.2f} s, longer than a period of {period:g} s")
-    return " | ".join(parts)
+EVERY = 5.0  # s of the robot's time from one grid to the next
+SCANS = 200  # most key scans of it: 30 ms
+RESOLUTION, MOST_CELLS = 0.05, 2_000_000  # m, 70 m a side
+COLOUR, FREE = 112, 24  # grey of all cells, and opacity of free ones
+
+
+class GridPainter:
+    """Draws the page's occupancy grid anew every few seconds, of at most `SCANS` scans: a PNG of one colour, whose
+    opacity is the probability of a wall, so it fits light and dark pages. Equal scans and poses: equal bytes.
+    """
+
+    def __init__(self, scans: Callable[[], Scanned | None], show: Callable[[bytes], None]) -> None:
+        """`scans` gives the present ones or None, `show` gets grids in JSON: lower left corner, size [m], picture."""
+        self._scans, self._show, self._drawn = scans, show, -EVERY
+
+    def work(self, t: float, *, last: bool = False) -> None:
+        """Draw where a grid is due at robot time t [s], or the `last` one."""
+        found = self._scans() if last or t - self._drawn >= EVERY else None
+        if found is None:
+            return
+        self._drawn = t
+        poses, ranges, scanner = found
+        some = slice(None, None, -(-len(poses) // SCANS))
+        grid = occupancy_grid(poses[some], ranges[some], scanner, resolution=RESOLUTION, most_cells=MOST_CELLS)
+        west, east, south, north = grid.extent
+        place = {"west": west, "south": south, "wide": east - west, "high": north - south}
+        self._show(json.dumps({**place, "png": base64.b64encode(picture(grid)).decode()}).encode())
+
+
+def picture(grid: Grid) -> bytes:
+    """A PNG of a grid, the northernmost row first."""
+    p, file = grid.probability, io.BytesIO()
+    opacity = np.where(grid.log_odds == 0.0, 0.0, FREE + (255 - FREE) * np.clip(2.0 * p - 1.0, 0.0, 1.0))
+    alpha = np.round(opacity[::-1]).astype(np.uint8)
+    Image.fromarray(np.dstack([np.full_like(alpha, COLOUR), alpha])).save(file, "PNG", compress_level=1)
+    return file.getvalue()

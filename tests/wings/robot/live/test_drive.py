@@ -14,11 +14,10 @@ from eval.replay.settings import Setup
 from tests.quick import slow
 from tests.wings.robot.line import StandingClock
 from tests.wings.robot.live.driven import estimate_bits, online, packets, replayed, replayed_bits
-from wings.robot.live.drive import REST, Looking, Presses, at_rest, drive
+from wings.robot.live.drive import REST, Looking, Presses, drive, estimator_words, status_line
 from wings.robot.live.feed import MINUTE, Feed
-from wings.robot.live.session import COLUMNS, Latencies, Session, Step, estimates, estimator_words, status_line
-from wings.robot.packets import AHEAD, PERIOD, SONARS, Answer, Command
-from wings.robot.traffic import Packet
+from wings.robot.live.session import COLUMNS, Latencies, Session, Step, estimates
+from wings.robot.packets import PERIOD, Command
 
 
 class Scripted:
@@ -41,17 +40,6 @@ def run(link, seconds, **more):
     session = Session(("ekf",), "jcbb", Setup())
     drive(link, link.clock, session, ahead, lambda: link.clock.now() >= seconds, **more)
     return session
-
-
-def blocked(ahead):
-    """What a robot hears that has a wall so many m before it, and nothing else."""
-    ranges = np.full(len(SONARS), np.inf)
-    ranges[AHEAD] = ahead
-    return Packet(0.0, ranges, np.zeros(3), True, Answer((4000,) * 8, 0, 0, 0))
-
-
-def test_at_rest_nothing_moves_whatever_is_heard():
-    assert [at_rest(blocked(ahead)) for ahead in (0.1, np.inf)] == [(0.0, 0.0)] * 2
 
 
 @pytest.mark.slow

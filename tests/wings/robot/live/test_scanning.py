@@ -16,10 +16,9 @@ from tests.wings.robot.line import linked
 from wings.laser.slam.front_end import run_front_end
 from wings.laser.slam.parameters import LaserParameters
 from wings.robot.driving import WallFollower
-from wings.robot.live.drive import Looking, drive as drive_on_line
+from wings.robot.live.drive import Looking, drive as drive_on_line, latency_table
 from wings.robot.live.feed import Feed
-from wings.robot.live.scanning import EVERY, GridPainter, ScanEstimating
-from wings.robot.live.session import Session, latency_table, rehearse
+from wings.robot.live.session import EVERY, GridPainter, ScanEstimating, Session, rehearse
 from wings.robot.simulated import Faults, Lidar, drive, room
 from wings.robot.traffic import Recording
 
