@@ -186,14 +186,6 @@ def write_map(grid: Grid, folder: Path) -> list[Path]:
     return [picture, text]
 
 
-GRAPH = "graph.g2o"
-
-
-def phase_of(run: LaserRun) -> str:
-    """Phase that its last path belongs to, in words."""
-    return "final" if run.final is not None else "online"
-
-
 def grid_of(trial: Trial, run: LaserRun) -> Grid:
     """The occupancy grid of a run's key scans at its last key poses, in larger cells where 5 cm would be too many."""
     scans, (chain, _, keys, _) = trial.log.recorded.scans, run.parts
@@ -219,7 +211,7 @@ def write_laser_files(folder: Path, trial: Trial) -> None:
     covariance = loops.covariance[:, rows, columns].T
     values = [loops.key1, loops.key2, *loops.relative.T, *covariance, loops.score, *loop_state]
     result_files.LOOPS.write(pd.DataFrame(dict(zip(result_files.LOOPS.names, values, strict=True))), place)
-    (place / GRAPH).write_text(graph_of(run), encoding="utf-8")
+    (place / "graph.g2o").write_text(graph_of(run), encoding="utf-8")
 
 
 def graph_of(run: LaserRun) -> str:
@@ -233,27 +225,23 @@ def graph_of(run: LaserRun) -> str:
 
 
 def _map_figure(trial: Trial, run: LaserRun, grid: Grid) -> Figure:
-    return map_picture(grid, run.parts[3], name=trial.log.name, estimator=run.estimator, phase=phase_of(run))
+    return map_picture(grid, run.parts[3], name=trial.log.name, estimator=run.estimator, phase=run.phases[-1])
 
 
 def _grid(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    run = _of(trial)
-    return _map_figure(trial, run, grid_of(trial, run)), {"estimator": run.estimator, "phase": phase_of(run)}
+    run = mapped(trial)
+    assert run is not None
+    return _map_figure(trial, run, grid_of(trial, run)), {"estimator": run.estimator, "phase": run.phases[-1]}
 
 
 def _loops(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    run = _of(trial)
+    run = mapped(trial)
+    assert run is not None
     loops, keys = run.parts[1:3]
     weight, name = np.ones(len(loops)) if run.weight is None else run.weight, trial.log.name
     false = wrong_closures(run, trial.log.truth.pose)
     figure = loop_picture(keys, loops, weight, name=name, false=false, estimator=run.estimator)
-    return figure, {"estimator": run.estimator, "phase": phase_of(run)}
-
-
-def _of(trial: Trial) -> LaserRun:
-    run = mapped(trial)
-    assert run is not None
-    return run
+    return figure, {"estimator": run.estimator, "phase": run.phases[-1]}
 
 
 GRID = Kind(lambda trial, _: mapped(trial) is not None, _grid, in_quick=True, macro="laser#grid")

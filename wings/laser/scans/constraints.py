@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from data.inputs import IntArray, Scans
-from data.locked import read_only
+from data.locked import Locked
 from data.result import Run
 from data.se2 import Array, BoolArray, between
 from wings.laser.scans.occupancy import contradiction
@@ -67,7 +67,7 @@ def consistency(scans: Scans, frames: IntArray, pose: Array) -> Consistency | No
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
+class Chain(Locked):
     """Key poses and the relative pose from each to the next; all other frames are relative to the key pose before them.
     Covariances are of the additive error [m, m, rad] of the relative pose, in the body frame where it starts.
     """
@@ -79,12 +79,9 @@ class Chain:
     since: Array  # (N, 3) pose of each frame in its key pose's frame; zero at a key pose
     since_covariance: Array  # (N, 3, 3) of it
 
-    def __post_init__(self) -> None:
-        read_only(self)
-
 
 @dataclass(frozen=True, eq=False)
-class Loops:
+class Loops(Locked):
     """Loop-closure candidates in the order in which they were found, accepted or not."""
 
     key1: IntArray  # (L,) key poses, key1 < key2
@@ -93,9 +90,6 @@ class Loops:
     covariance: Array  # (L, 3, 3) of its additive error
     score: Array  # (L,) share of the points of one scan that fit the other
     believed: IntArray  # (L,) the newest key pose when it joined the graph, -1 if it was rejected
-
-    def __post_init__(self) -> None:
-        read_only(self)
 
     def __len__(self) -> int:
         return len(self.key1)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from data.compiled import njit
 from data.inputs import Scanner
-from data.locked import read_only
+from data.locked import Locked
 from data.se2 import Array, BoolArray, compose, inverse, transform_points
 from wings.laser.scans.points import beams_of
 
@@ -27,15 +27,12 @@ _FREE, _ENDS = 1, 2
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class Grid(Locked):
     """An occupancy grid, axes along those of the world."""
 
     origin: Array  # (2,) m, the lower left corner of cell [0, 0] in the world
     resolution: float  # m, side of a cell
     log_odds: Array  # (H, W) of occupancy, row by y and column by x; 0 where unknown
-
-    def __post_init__(self) -> None:
-        read_only(self)
 
     @property
     def probability(self) -> Array:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data.inputs import Increments, Inputs, IntArray, Observations
+from data.inputs import Increments, Inputs, IntArray
 from data.motion.velocity import floor_covariances
 from data.pose_measurements import Closures
 from data.se2 import Array, between, compose
@@ -29,12 +29,12 @@ from wings.laser.scans.corners import corner_labels, corners_at
 from wings.laser.scans.matching import MotionPrior, NearestGrid, Reference, match
 from wings.laser.scans.points import Points, beams_of, joined, scan_points
 from wings.laser.scans.uncertainty import compose_covariances
+from wings.laser.slam.backends import LOOP, NO_OBSERVATIONS
 from wings.laser.slam.closures import NO_PRIOR
 from wings.laser.slam.front_end import scaled_front_end
 from wings.laser.slam.parameters import LaserParameters
 
 SCAN_MATCH, ODOMETRY = MOTIONS = ("scan-match", "odometry")  # What the motion between key poses is
-LOOP = "loop"  # Source of the closures that are loops; those between neighbours are of source `SCAN_MATCH`
 Edges = tuple[IntArray, IntArray, Array, Array]
 """Frames key1 and key2 (C,), poses (C, 3) of key2 in the frame of key1, and covariances of their additive errors."""
 ROBUST = 1e3  # Scale of the prior of a match that has none, in standard deviations: it does not yield
@@ -80,7 +80,7 @@ def key_log(
     key1, key2, relative, uncertainty, which = (a[by] for a in every)
     closures = Closures(key1, key2, relative, uncertainty, which, tuple(sources))
     covariance, floored = floor_covariances(steps.covariance, inputs.covariance_floor)
-    seen = corners_at(scans, chain.frame) if corners else NO_CORNERS
+    seen = corners_at(scans, chain.frame) if corners else NO_OBSERVATIONS
     # corners are recognized far nearer than a scanner reaches: up to the farthest
     sensor = RelativePoint(max_range=1.001 * float(np.hypot(*seen.z.T).max(initial=0.0)) or np.inf)
     given = replace(
@@ -89,9 +89,6 @@ def key_log(
         closures=closures if len(closures) else None,
     )  # fmt: skip
     return KeyLog(given, frame, corner_labels(seen, found.front.keys), chain, found.claimed, found.error)
-
-
-NO_CORNERS = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
 
 
 def wheels_between(increments: Increments, frames: IntArray) -> Increments:
