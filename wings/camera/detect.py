@@ -42,9 +42,9 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> None:
         print(f"{names[picture]}: {reason}")
     if out is not None:
         from data.whole import whole_file
-        from wings.camera.detector import outlined, png_of
+        from wings.camera.detector import encoded, outlined
 
-        png = png_of(outlined(photo, [(names[d.picture], corners) for d, corners in placed]))
+        png = encoded(outlined(photo, [(names[d.picture], corners) for d, corners in placed]))
         try:
             with whole_file(out) as partial:
                 partial.write_bytes(png)

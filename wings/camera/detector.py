@@ -431,15 +431,13 @@ class Detector:
         with self._pools.limit(limits=1, user_api="blas"):
             return self._detect(rgb, xyz)
 
-    def detect_each(
-        self, frames: Iterable[VisualFrame], at_once: int = AT_ONCE
-    ) -> Iterator[tuple[VisualFrame, Detected]]:
-        """Each frame and its detections, in order, `at_once` frames at a time."""
+    def detect_each(self, frames: Iterable[VisualFrame]) -> Iterator[tuple[VisualFrame, Detected]]:
+        """Each frame and its detections, in order, `AT_ONCE` frames at a time."""
         waiting = deque[tuple[VisualFrame, Future[Detected]]]()
-        with self._pools.limit(limits=1, user_api="blas"), ThreadPoolExecutor(at_once) as pool:
+        with self._pools.limit(limits=1, user_api="blas"), ThreadPoolExecutor(AT_ONCE) as pool:
             for frame in frames:
                 waiting.append((frame, pool.submit(self.detect, frame.rgb, frame.xyz)))
-                if len(waiting) > at_once:
+                if len(waiting) > AT_ONCE:
                     first, found = waiting.popleft()
                     yield first, found.result()
             for first, found in waiting:
@@ -548,9 +546,10 @@ def outlined(rgb: NDArray[np.uint8], found: Sequence[tuple[str, Array]], bold: i
     return image
 
 
-def png_of(rgb: NDArray[np.uint8]) -> bytes:
-    """An RGB image (H, W, 3) as PNG."""
-    ok, data = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
+def encoded(rgb: Any, quality: int | None = None) -> bytes:
+    """An RGB image (H, W, 3) as PNG, or as JPEG of a quality in percent."""
+    kind, how = (".png", []) if quality is None else (".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality])
+    ok, data = cv2.imencode(kind, cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), how)
     assert ok
     return bytes(data.tobytes())
 

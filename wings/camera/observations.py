@@ -21,7 +21,7 @@ from data.se2 import Array
 from data.sensors import RelativePoint
 from data.truth import Truth
 from data.whole import whole_file
-from wings.camera.detector import Detector
+from wings.camera.detector import Detector, encoded
 from wings.camera.gallery import inputs_of
 
 SIGMA = (0.02, 0.05)  # m, of a corner to the right and ahead of the camera: the lab's constants
@@ -49,10 +49,10 @@ def find_pictures(recording: pictures.VisualRecording) -> pictures.Found:
             refused[picture][reason] += 1
         rows += [(k, d) for d in seen.detections]
         if k % every == 0:
-            candidates.append((len(seen.detections), k, _encoded(f.rgb, 80)))
+            candidates.append((len(seen.detections), k, encoded(f.rgb, 80)))
         if k % every_small == 0:
             size = (SMALL_WIDTH, max(1, round(f.rgb.shape[0] * SMALL_WIDTH / f.rgb.shape[1])))
-            small.append((k, _encoded(cv2.resize(f.rgb, size, interpolation=cv2.INTER_AREA), 60)))
+            small.append((k, encoded(cv2.resize(f.rgb, size, interpolation=cv2.INTER_AREA), 60)))
     with_some = [c for c in candidates if c[0]] or candidates
     chosen = [with_some[i] for i in np.unique(np.linspace(0, len(with_some) - 1, TILES).round().astype(int))]
     pixels = np.array([d.pixels for _, d in rows], float).reshape(-1, pictures.CORNERS, 2)
@@ -67,12 +67,6 @@ def find_pictures(recording: pictures.VisualRecording) -> pictures.Found:
         tiles=tuple((k, image) for _, k, image in chosen), focal=focal, pixel_noise=pixel_noise,
         depth_noise=depth_noise, small=tuple(small),
     )  # fmt: skip
-
-
-def _encoded(rgb: Any, quality: int) -> bytes:
-    ok, data = cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
-    assert ok
-    return bytes(data.tobytes())
 
 
 def measure_noise(pixels: Array, points: Array) -> tuple[float, float, float]:

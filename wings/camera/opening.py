@@ -17,7 +17,7 @@ from data.sensors import RelativePoint
 from data.terminal import counted
 from data.truth import Truth
 from data.worlds import registry
-from wings.camera.detector import outlined, png_of
+from wings.camera.detector import encoded, outlined
 from wings.camera.gallery import Gallery, inputs_of
 from wings.camera.lab.folder import LabRecording, open_lab
 from wings.camera.observations import cached, find_pictures, log_of
@@ -44,7 +44,7 @@ def images_of(name: str, log: Log) -> Iterator[bytes]:
         for k, frame in enumerate(recording.frames()):
             here = np.flatnonzero(log.evidence.found.frame == k)
             found = [(str(log.evidence.found.picture[d]), log.evidence.found.pixels[d]) for d in here]
-            yield png_of(outlined(frame.rgb, found))
+            yield encoded(outlined(frame.rgb, found))
 
 
 def _rendered(name: str) -> Rendered:

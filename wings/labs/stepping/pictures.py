@@ -132,14 +132,6 @@ def plane_of(m: Matching) -> Plane:
     return Plane(xy, P, landmarks, Pl, compatible, near, shown, e.number, involved, column, m.first)
 
 
-def legend(fig: Figure, place: tuple[float, float] | None, handles: Sequence[Line2D | Patch]) -> None:
-    """The legend in a free panel, or else below all."""
-    if place is not None:
-        fig.legend(handles=handles, loc="lower left", bbox_to_anchor=place, fontsize=8.0, labelspacing=0.8)
-    else:
-        fig.legend(handles=handles, loc="lower center", ncols=4)
-
-
 def background(ax: Axes, p: Plane, size: float = 4.5) -> None:
     """Expected landmarks (marks of a `size` [pt]) and observations with their ellipses, compatible pairs in grey."""
     outlines(ax, p.landmarks, p.Pl, DULL, 1.5, 0.08)
@@ -485,8 +477,7 @@ def paint_matching(fig: Figure, m: Matching) -> None:
     bottom, high = (0.14, 0.335) if full else (0.065, 0.375)
     corners = [(0.055 + 0.318 * column, bottom + row * (high + 0.085)) for row in (1, 0) for column in range(3)]
     axes = [fig.add_axes((x, y, 0.28, high)) for (x, y), _ in zip(corners, names, strict=False)]
-    panels, place = axes, None if full else corners[len(names)]
-    for at, (ax, name) in enumerate(zip(panels, names, strict=True)):
+    for at, (ax, name) in enumerate(zip(axes, names, strict=True)):
         _problem(ax, p)
         made, truth, update = m.decisions[name], m.truth.get(name), " (updates)" if name == m.chosen else ""
         if update:
@@ -496,7 +487,11 @@ def paint_matching(fig: Figure, m: Matching) -> None:
             draw_decisions(ax, p, made, truth, all_numbers=at == 0)
         ax.set_title(f"{called(name, names)}{update}: {made if isinstance(made, str) else _counted(made, truth)}")
         robot_axes(ax, left=at % 3 == 0, bottom=at >= len(names) - 3)
-    legend(fig, place, _handles(m))
+    if full:  # no panel is free
+        fig.legend(handles=_handles(m), loc="lower center", ncols=4)
+    else:
+        look: dict[str, Any] = {"bbox_to_anchor": corners[len(names)], "fontsize": 8.0, "labelspacing": 0.8}
+        fig.legend(handles=_handles(m), loc="lower left", **look)
     fig.suptitle(f"{m.title}: matching, robot frame", x=0.01, ha="left")
 
 

@@ -144,14 +144,11 @@ def statistics(log: Log, run: Run) -> str:
     lines = []
     for m in map(metric, STATISTICS):
         values = [row.get(m.column) for row in rows.values()]
-        if any(isinstance(v, (int, float)) and math.isfinite(v) for v in values):
-            lines.append(f"{m.line:<40}" + "".join(f"{_number(v):>12}" for v in values))
+        known = [v if isinstance(v, (int, float)) and math.isfinite(v) else None for v in values]
+        if known.count(None) < len(known):
+            lines.append(f"{m.line:<40}" + "".join(f"{NONE if v is None else number(v):>12}" for v in known))
     head = f"{f'{log.name}: {run.task}, {run.estimator}, {run.association}':<40}" + "".join(f"{p:>12}" for p in rows)
     return "\n".join([head, *lines, *(_wrapped(sentence(note)) for note in run.notes)])
-
-
-def _number(value: object) -> str:
-    return number(value) if isinstance(value, (int, float)) and math.isfinite(value) else NONE
 
 
 def moved_text(odometry: Array, pose: PoseEstimate) -> str:
