@@ -71,7 +71,7 @@ def _tidied(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], str]:
         whole = [(top[first - 2][0], (mark or " ").join(named)) if pair == top[first - 2] else pair for pair in lines]
         return _tidied([pair for pair in whole if pair != top[first - 1]])
     wide = [len(row) == len(rows[first]) for row in rows]
-    heads = [k for k in range(first) if wide[k]]
+    heads = [k for k in range(first) if wide[k] and top[k][1] not in {line for _, line in top[:k]}]
     alone = bool(first and re.search(PROSE[mark is None], top[first - 1][1]) and not {*LISTED} & {*rows[first - 1]})
     alone = alone and not heads and len(wide) > first + 2
     alone = alone and (mark is None or len(rows[first - 1]) < len(rows[first]))

@@ -39,7 +39,7 @@ def test_one_line_says_what_is_wrong(table, text, words, said):
 
 @pytest.mark.parametrize("text", [
     "\ufeff" + GOOD.replace("\n", "\r\n"),
-    GOOD.encode("utf-16"),
+    GOOD.encode("utf-16"), 2 * GOOD[:24] + GOOD,
     GOOD.replace("range", "range ").replace("0,1,0,2,0.1", " 0 , 1,0,2,0.1"),
 ])  # fmt: skip
 def test_any_way_of_writing_a_table_gives_the_same_log(table, text):
