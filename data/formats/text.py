@@ -253,8 +253,10 @@ def _table(text: Text, stated: Collection[str] = (), odometry: int = 0, *, seen:
         said.append(f"inferred: a row is a stamp and any number of observations of {each} numbers each")
     if names and len(names) + SLOTS < len(rows[0]):
         names = names if names[-1] else names[:-1]
-        if len(listed := [n for n in names if n in LISTED]) == 1:  # one name for all of a list
+        alike = text.commas and len({*map(len, rows)}) == 1 and is_row(rows[0])
+        if len(listed := [n for n in names if n in LISTED] or [*names[-1:]] * alike) == 1:  # one name for all of a list
             at, count = names.index(listed[0]), len(rows[0]) - len(names) + 1
+            said.append(f"inferred: {listed[0]} stands for {count} columns, {listed[0]}_1 to {listed[0]}_{count}")
             names = (*names[:at], *(f"{listed[0]}_{k}" for k in range(1, count + 1)), *names[at + 1 :])
     width = len(rows[0]) if names is None else len(names)
     early = ends_early(map(len, rows), width, 1) if names is not None and text.separator != " " else set()

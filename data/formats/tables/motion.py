@@ -173,7 +173,7 @@ def read_odometry(
         quantities = ("dx", "dtheta")
     moved = kind in (*STAMPED, "sideways", "course")
     aside = kind == "course" and (columns.stated(role, ("vy",)) or "vy" in columns.given)
-    quantities = (*quantities, *["vy"] * aside)
+    quantities = (*quantities, *["vy"] * aside, *["theta"] * (kind == "ticks" and columns.stated(role, ("theta",))))
     if moved:
         _intervals(file, columns, role)
     stamped, period = columns.find(file, role, "t") is not None, columns.period
@@ -259,7 +259,7 @@ def read_odometry(
             notes.append(f"{file.path.name}: the step of the first row precedes the log and is ignored")
     else:
         assert wheels is not None  # of ticks they are stated
-        pose = _rolled(table.stack(KINDS["ticks"]), wheels, time)
+        pose = _rolled(table.stack(KINDS["ticks"]), wheels, time, values.get("theta"))
     return Odometry(table, time, stamped, pose, instants)
 
 
@@ -333,8 +333,8 @@ def _without_strays(table: Table, lines: str, notes: list[str], kind: str) -> Ta
 PAUSE, LONG = 1000.0, 100.0  # Times the usual interval, and s, that rows of one drive are not apart
 
 
-def _rolled(ticks: Array, wheels: Wheels, time: Array) -> Array:
-    """Poses (K, 3) of a two-wheeled robot from its ticks (K, 2), left and right: an arc from row to row."""
+def _rolled(ticks: Array, wheels: Wheels, time: Array, heading: Array | None = None) -> Array:
+    """Poses (K, 3) of a two-wheeled robot from its ticks (K, 2), left and right: arcs, of its headings if stated."""
     turned = ticks.copy() if wheels.each else np.diff(ticks, axis=0, prepend=ticks[:1])
     turned[0] = 0.0
     if wheels.rate:
@@ -343,6 +343,7 @@ def _rolled(ticks: Array, wheels: Wheels, time: Array) -> Array:
         turned = (turned + 0.5 * wheels.wrap) % wheels.wrap - 0.5 * wheels.wrap
     way = turned * np.array(wheels.metres)
     distance, turn = way.mean(axis=1), (way[:, 1] - way[:, 0]) / wheels.track_width
+    turn = turn if heading is None else np.diff(np.unwrap(heading), prepend=heading[:1])
     return se2.dead_reckoned(np.zeros(3), se2.along_arcs(distance, turn))
 
 

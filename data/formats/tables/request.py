@@ -627,7 +627,12 @@ def _take_stars(p: _Parts, role: str) -> None:
 
 
 def _rates(p: _Parts, given: Given) -> Given:
-    """The flags of speeds of wheels, where the name of their column tells that they are no ticks."""
+    """The flags of speeds of wheels, where the name of their column is no count; of a stated heading."""
+    others = [r for r in ("truth", "fixes") if r in p.texts and p.find(r, ("theta",))]
+    if {"theta", "odometry.theta"} & {*p.columns.given} and not others:
+        p.columns.given = {"odometry.theta" if q == "theta" else q: n for q, n in p.columns.given.items()}
+        p.infer("the heading tells the turns, the wheels the way ahead alone, whatever --track-width is", "odometry")
+        given = {"track-width": "1", **given}
     if {"ticks", "odometry-kind"} & {*given}:
         return given
     name = p.texts["odometry"].names[p.columns.require(p.texts["odometry"], "odometry", ("left",))[0]]

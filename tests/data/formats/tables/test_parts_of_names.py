@@ -96,6 +96,11 @@ def test_speeds_of_wheels_need_their_distance_alone(made, refused, tmp_path):
     assert drives(made({"robot.csv": text}, *words)[0])
     (tmp_path / "turns.csv").write_text(text.replace("cm/s", "rad/s"))
     assert "wheel's radius" in refused(main, ["table", str(tmp_path / "turns.csv"), "out2", *words])
+    text = csv("time,esc", ((t, 7, 7, -k * V, k * V, POSE[k, 2]) for k, t in enumerate(TIME)))  # and a heading
+    words = ("--columns", "left=esc_3,right=esc_4,theta=esc_5", "--metres-per-tick=-0.5,0.5", "--frames", "odometry")
+    log, said = made({"esc.csv": text}, *words)
+    assert se2.dead_reckoned(np.zeros(3), log.recorded.increments.mean) == pytest.approx(POSE)
+    assert "esc stands for 5 columns" in said
 
 
 @pytest.mark.parametrize("names", ["wheel_left_pos,wheel_right_pos", "message.encoders.left,wr", "v,w,enc_l,enc_r"])
