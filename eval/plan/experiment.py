@@ -57,7 +57,8 @@ def check_possible_on(log: Log, tasks: Sequence[str], associations: Sequence[str
     if "localization" in tasks and log.recorded.map is None:
         raise UsageError(f"--task localization: log {log.name!r} has no map (landmarks.csv); type --task slam")
     if "known" in associations and not log.has_labels:
-        raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
+        right = "convert table --columns label=NAME, or of a column for each landmark range=lm_*, gives them"
+        raise UsageError(f"--association known: log {log.name!r} has no labels (label in observations.csv; {right})")
 
 
 def check_maintained(setup: Setup, tasks: Sequence[str]) -> None:
