@@ -301,8 +301,7 @@ def stepped(file: TextTable) -> TextTable:
     found = [[k for k, name in enumerate(names) if word.fullmatch(name)] for word in THRUN]
     if not all(len(of) == 1 for of in found):
         return file
-    every = np.ones(len(file), bool)
-    first, way, second = (file.numbers(k, every) for (k,) in found)
+    first, way, second = (file.numbers(k, np.ones(len(file), bool)) for (k,) in found)
     unit = ANGLE.get(words_of(file.names[found[0][0]])[1], 1.0)
     steps = np.stack([way * np.cos(unit * first), way * np.sin(unit * first), unit * (first + second)], axis=-1)
     rows = tuple((*row, *map(repr, step)) for row, step in zip(file.rows, steps.tolist(), strict=True))
@@ -678,6 +677,11 @@ class Columns:
                 row = int(np.argmin(fine))
                 field = file.text(c, keep)[row]
                 raise table.error(row, file.names[c], f"{repr(field) if field else 'blank'}; a number is needed")
+        if role in ("odometry", "truth") and "t" in values and not {"dx", "left"} & {*values}:  # which add up
+            back = values["t"] < np.fmax.accumulate(values["t"])
+            if 0.0 < back.sum() < FEW * len(back):
+                self.notes.append(f"{file.path.name}: {counted(int(back.sum()), f'{role} row')} back in time: left out")
+                table = table.part(np.flatnonzero(~back))
         return table, int(empty.sum())
 
 
@@ -703,6 +707,7 @@ def unmeasured(values: Array) -> tuple[int, int, bool] | None:
     return None
 
 
+FEW = 0.05  # Largest share of rows back in time that are left out
 REPEATED, LEVELS = 3, 20  # Fewest fields with a value that stands for none, and fewest different values
 BEYOND = 10.0  # Times as large, or as frequent, as any other
 

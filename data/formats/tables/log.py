@@ -677,6 +677,8 @@ def _ahead(pose: Array, moved: Array) -> tuple[float, float] | None:
     along = np.hypot(*moved[:, :2].T).cumsum()[far]
     turn = (way * driven.conj())[far[along <= along[0] + FITTED]]
     off = float(np.sqrt(np.mean(np.angle(turn / turn[0]) ** 2)))
+    if off > LOOSE and not moved[:, 2].any():  # axes that never turn: all of the way tells
+        turn = (way * driven.conj())[far]
     return float(np.angle(turn[0] if off <= LOOSE else turn.sum())), max(off, LOOSE)
 
 

@@ -226,9 +226,8 @@ def read_odometry(
     if kind == "car":
         if wheels is None:
             raise UsageError("speed and steering of a car: --wheel-base M, the distance between its axles, is needed")
-        omega = values["v"] * np.tan(values["steering"]) / wheels.track_width
-        return Odometry(table, time, stamped, np.stack([values["v"], omega], axis=-1), instants)
-    if kind == "velocities":
+        values["omega"] = values["v"] * np.tan(values["steering"]) / wheels.track_width
+    if kind in STAMPED:
         return Odometry(table, time, stamped, table.stack(("v", "omega")), instants)
     if kind == "poses":
         pose = np.stack([values["x"], values["y"], headings(values, columns.units.factor(role, "theta"))], axis=-1)

@@ -483,16 +483,23 @@ def _by_layout(p: _Parts) -> list[str]:
 
 def _hold_heading(p: _Parts) -> None:
     """Hold the heading at 0 of an odometry of places without headings, beside fixes or a truth of places alone."""
-    table, looked, own = p.texts["odometry"], p.columns.quiet, ("x", "y")
+    table, looked, aside = p.texts["odometry"], p.columns.quiet, {"vy", "odometry.vy"} & {*p.columns.given}
+    own, what, turn = (("v", "vy"), "velocities are", ["theta"]) if aside else (XY, "places are steps", [])
     others = [role for role in ("fixes", "truth") if role in p.texts]  # of which headings would be the robot's
-    known = any(looked.has(table, "odometry", q) for q in (*KINDS.values(), table_files.QUATERNION, ("v",)))
+    known = any(looked.has(table, "odometry", q) for q in (*KINDS.values(), table_files.QUATERNION, ("v", *turn)))
     known |= any(p.texts[r] is not table or p.find(r, STARRED[:2]) for r in p.observing if r in p.texts)
-    known |= any(p.find(r, ("theta", "qx")) or looked.taken(table, "odometry", own, p.texts[r], r) for r in others)
+    known |= any(p.find(r, ("theta", "qx")) for r in others)
+    known |= not aside and any(looked.taken(table, "odometry", own, p.texts[r], r) for r in others)
     if others and looked.has(table, "odometry", own) and not known:
-        p.hold(["theta"])
+        p.hold(["omega" if aside else "theta"])
         p.texts.update({role: p.texts["odometry"] for role, of in p.texts.items() if of is table})
-        told = "no heading: places are steps in axes of their own, whose heading is 0, not that of the robot"
-        p.infer(told, "odometry")
+        if aside and (path := path_of(p.texts, p.columns, "sideways")) is not None:
+            seen = looked.table(p.texts[others[0]], others[0], ("t", *XY), may_be_blank=XY)[0].stack(("t", *XY))
+            seen = seen[np.isfinite(seen).all(axis=1)]
+            off = se2.interpolate(*path, seen[:, 0])[:, :2] - seen[:, 1:]
+            if FITS * np.var(off, axis=0).sum() > np.var(seen[:, 1:], axis=0).sum():
+                raise DataError.at(table.path, motion.SAID["no-turn"])
+        p.infer(f"no heading: {what} in axes of their own, whose heading is 0, not that of the robot", "odometry")
 
 
 def _moves(p: _Parts, table: TextTable) -> bool:
@@ -505,7 +512,7 @@ def _blind(p: _Parts, given: Given) -> tuple[float, Given]:
     table, looked = p.texts["odometry"], p.columns.quiet
     if none := given.get("odometry-kind") == "none":
         given = {flag: value for flag, value in given.items() if flag != "odometry-kind"}
-    elif _moves(p, table) or "odometry-kind" in given:
+    elif _moves(p, table) or "odometry-kind" in given or {"vy", "odometry.vy"} & {*p.columns.given}:
         return 0.0, given
     if p.texts.get(SCANS) is table:
         p.columns.notes.append(f"{p.files[SCANS].name}: no odometry in it: scan matching alone tells the motion")
@@ -533,11 +540,13 @@ def _blind(p: _Parts, given: Given) -> tuple[float, Given]:
         start = {"prior": f"{at[0, 1]},{at[0, 2]},{math.atan2(far[1], far[0])}", "prior-sigma": "1,1,45deg"}
         given, p.columns.origins["prior"] = {**start, **given}, Origin.INFERRED
         p.infer(f"--prior at the first fix, heading for the farthest of {SOON}; --prior-sigma {given['prior-sigma']}")
-    if looked.find(table, "odometry", "v") is not None and not none:
-        p.hold(["omega"])
-        p.infer("no turn rate: unknown, within --odometry-sigma 5cm,45deg")
-        return 0.0, {"odometry-sigma": "5cm,45deg", **given}
     speed = float(np.quantile(np.hypot(*np.diff(at[:, 1:], axis=0).T) / np.diff(at[:, 0]), FAST))
+    q = "omega" if p.find("odometry", ("v",)) else "v" * bool({"omega", "odometry.omega"} & {*p.named})
+    if q and not none:
+        sigma = "5cm,45deg" if q == "omega" else f"{speed:.3g},2deg"
+        p.hold([q])
+        p.infer(f"no {'turn rate' if q == 'omega' else 'speed'}: unknown, within --odometry-sigma {sigma}")
+        return 0.0, {"odometry-sigma": sigma, **given}
     p.infer(f"no odometry: the motion is unknown, within {speed:.3g} m/s, the speed of nine tenths of the fixes")
     p.hold(KINDS["poses"])  # it stands
     return speed, given
