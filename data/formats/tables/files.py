@@ -736,6 +736,9 @@ def pairs(value: object, flag: str) -> dict[str, str]:
     found: dict[str, str] = {}
     for part in [p.strip() for text in texts for p in str(text).split(",") if p.strip()]:
         key, equals, name = part.partition("=")
+        if found and flag == "columns" and part.isdecimal():  # one more of several columns
+            found[[*found][-1]] += f",{part}"
+            continue
         if not (key.strip() and equals and name.strip()):
             right = "KEY=NAME is needed, as in t=stamp (names with commas: in a mapping file)"
             if flag == "time-offset":

@@ -9,7 +9,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -606,6 +606,11 @@ def _take_stars(p: _Parts, role: str) -> None:
     stated = {q: p.named.get(f"{role}.{q}", p.named.get(q, "")) for q in (*STARRED, *table_files.IDS)}
     deep = table_files.solid_stars(file, stated)
     stars = {q: n for q, n in {**stated, **deep}.items() if "*" in n}
+    listed = {q: [table_files.column_of(file, k) for k in n.split(",")] for q, n in stated.items() if "," in n}
+    if len({*map(len, listed.values())}) == 1 and not any(None in each for each in listed.values()):
+        named = {j: f"{q}_{k}" for q, each in listed.items() for k, j in enumerate(each, start=1)}
+        file = replace(file, names=tuple(named.get(j, name) for j, name in enumerate(file.names)), named=True)
+        stars = {q: f"{q}_*" for q in listed}
     if deep:
         told = f"in {len(file)} rows; the odometry has {len(p.texts['odometry'])}"
         p.infer(f"--columns {','.join(f'{q}={n}' for q, n in deep.items())}, {told}")
@@ -621,7 +626,7 @@ def _take_stars(p: _Parts, role: str) -> None:
     if not stars:
         return
     seen = (j for star in stars.values() for j in table_files.starred(file.names, star).values())
-    columns.read |= {(file.path, file.names[j]) for j in seen}
+    columns.read |= {(file.path, p.texts[role].names[j]) for j in seen}
     p.texts[role] = wide = table_files.unpivoted(file, stars)
     instant = any(columns.find(wide, role, q) is not None for q in ("t", "frame"))
     if not instant and len(file) == len(p.texts["odometry"]):
@@ -631,7 +636,7 @@ def _take_stars(p: _Parts, role: str) -> None:
     if not {"label", "true_id"} & {*wide.names}:
         told = "filled from the left, so they are no labels (--columns label=NAME* names some)"
         p.infer(f"columns {', '.join(stars.values())} are {told}")
-    taken = {*stars.values(), *(stated[q] for q in deep), *[first] * bool(first)}
+    taken = {*stars.values(), *(stated[q] for q in (*deep, *listed)), *[first] * bool(first)}
     columns.given = {k: n for k, n in columns.given.items() if n not in taken}
 
 

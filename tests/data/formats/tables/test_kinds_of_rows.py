@@ -292,6 +292,7 @@ def test_a_column_for_each_landmark_is_named_with_a_star(read, unread):
     log, said = read(bare, *words, "--columns", "range=beacon_*", "--period", "0.1s")
     assert log.recorded.observations.frame.tolist() == [0, 0, 1, 2, 2, 3, 4, 4]
     assert (log.label[:3].tolist(), "inferred: each of its 5 rows is one of the odometry" in said) == ([4, 7, 4], True)
+    assert read(files, *words, "--columns", "range=2,3")[0].label.tolist() == [1, 2, 1, 1, 2, 1, 1, 2]
     assert "as in --columns range=beacon_*" in unread(files, *words)
     assert "no column b_*" in unread(files, *words, "--columns", "range=b_*")
 
