@@ -105,7 +105,7 @@ def _absurd(run: Run, inputs: Inputs) -> Notice | None:
 def _by_chance(run: Run) -> Notice | None:
     """Few pairings whose innovations fill the gate."""
     total, expected = run.total_nis, gated(run, run.phases[-1])[0]
-    if total is None or total[1] < OBSERVATIONS or expected > 0.9995:
+    if total is None or total[1] < OBSERVATIONS or expected > 0.9995 or not len(_decisions(run)):
         return None
     nis, used = total[0] / total[1], float((_decisions(run) >= 0).mean())
     return None if nis < CHANCE * expected or used > USED else notice(Code.BY_CHANCE, 0, used=used, nis=nis)

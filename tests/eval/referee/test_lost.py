@@ -162,6 +162,7 @@ def test_few_pairings_that_fill_the_gate_are_by_chance(share, total, gated, is_l
     used = np.arange(LONG) % 100 < 100
     used[np.arange(LONG) % 2 == 1] = share == 100
     assert (lost(run(used, total_nis=total, gated=gated), inputs()) is not None) == is_lost
+    assert lost(run(np.zeros(0), total_nis=total, gated=gated), inputs(each=0)) is None
 
 
 def test_dead_reckoning_and_those_that_stopped_are_not_lost():
