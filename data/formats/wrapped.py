@@ -27,8 +27,9 @@ ECHOED = tomllib.loads(Path(__file__).with_name("echoed.toml").read_text(encodin
 
 def file_and_word(path: Path) -> tuple[Path, str]:
     """The file of FILE:WORD, and the word that its rows hold; empty: all rows."""
-    name, colon, word = str(path).rstrip(":").rpartition(":")
-    return (Path(name), word) if colon and not path.exists() and Path(name).is_file() else (path, "")
+    parts = [] if path.exists() else str(path).rstrip(":").split(":")
+    each = ((Path(":".join(parts[:-k])), ":".join(parts[-k:])) for k in range(1, len(parts)))
+    return next((pair for pair in each if pair[0].is_file()), (path, ""))
 
 
 def unwrapped(path: Path, content: bytes, word: str) -> tuple[bytes, str]:

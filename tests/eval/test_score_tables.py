@@ -228,7 +228,7 @@ def test_paths_whose_rows_alternate_are_told_apart(scored, tmp_path, apart):
     assert values["rmse_position_m"] == pytest.approx(apart, rel=0.1)
 
 
-def test_quaternions_by_name_are_scaled_and_numbers_of_rows_are_no_stamps(scored):
+def test_quaternions_by_name_are_scaled_and_numbers_of_rows_are_no_stamps(scored, tmp_path):
     q = {"qz": (0.05 + T) * np.sin(0.5 * TURN), "qw": (0.05 + T) * np.cos(0.5 * TURN), "qx": 0 * T, "qy": 0 * T}
     text = table({"t": np.arange(60.0), "x": MINE[:, 0], "y": MINE[:, 1], **q})
     assert scored(text, table(WHOLE | {"t": 1000.0 + T}))["rmse_heading_deg"] == pytest.approx(0.0, abs=1e-6)
@@ -241,8 +241,10 @@ def test_quaternions_by_name_are_scaled_and_numbers_of_rows_are_no_stamps(scored
     form = "timestamp: {}\nposition:\n- {}\n- {}\n- 0.0\nq:\n- {}\n- {}\n- {}\n- {}\n---"  # as of px4
     echoed = "\n".join(form.format(round(1e6 * t), *row) for t, *row in rows)
     assert scored(echoed, table(WHOLE))["rmse_heading_deg"] == pytest.approx(0.0, abs=1e-6)
-    kinds = "\n".join(f"{kind} {row}" for row in table(WHOLE, False, " ").splitlines() for kind in "LR")
-    assert "rows hold L (60), R (60): name those of one kind" in scored(kinds, text, wrong=True)
+    kinds = "\n".join(f"{kind} {row}" for row in table(WHOLE, False, " ").splitlines() for kind in ("L", "R:Q"))
+    assert "rows hold L (60), R:Q (60): name those of one kind" in scored(kinds, table(WHOLE), wrong=True)
+    given = [f"{tmp_path}/0.csv:R:Q", f"{tmp_path}/1.csv", "--columns", "estimate.t=2,estimate.x=3,estimate.y=4"]
+    assert scored.of(given)["rmse_position_m"] < 1e-9
 
 
 def test_names_that_repeat_are_of_the_blank_column_before_them(scored):

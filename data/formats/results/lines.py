@@ -247,17 +247,18 @@ def times_of(
     *, unit: str | None = None, usual: str = "s", column: int = 0,
 ) -> tuple[Array, paths.Clock]:  # fmt: skip
     """Times (n,) [s] of stamps (n,) in a column of a file, and their clock: given, of a flag, stated, or inferred. Of a
-    file without stamps those of `manner.times`, one a line; UsageError where the file has some.
+    file without stamps, or with numbers of rows, those of `manner.times`, one a line; UsageError where it has others.
     """
     if manner.times is not None and text.path != manner.times:
-        if column != UNSTAMPED:
-            raise UsageError(f"--times {manner.times}: {text.path} has stamps of its own")
+        if column != UNSTAMPED and not (np.diff(stamps) == 1.0).all():
+            raise UsageError(f"--times {manner.times}: {text.path} has stamps of its own, not numbers of rows")
         side = read_text(manner.times)
         raw = numbers(side, ("t",), huge=("t",))[:, 0]
         if len(raw) != len(stamps):
             what = f"{len(raw)} stamps for the {len(stamps)} poses of {text.path}; one each is needed"
             raise DataError.at(manner.times, what)
-        return times_of(side, raw, manner)
+        time, clock = times_of(side, raw, manner)
+        return time, replace(clock, source=f" of {side.path}{' instead of numbers of rows' * (column != UNSTAMPED)}")
     unit_of_flag = manner.stamps
     if isinstance(unit_of_flag, float):
         stamps, unit_of_flag = unit_of_flag * stamps, "s"

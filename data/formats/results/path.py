@@ -28,6 +28,7 @@ class Clock:
 
     unit: str = "s"
     by: str = ASSUMED
+    source: str = ""  # what is said of another file that they are from
 
     @property
     def words(self) -> str:
@@ -35,7 +36,7 @@ class Clock:
         if self.by == ROWS:
             return "without stamps"
         how = {SIZE: " by their size", RATE: " by their rate", DATES: " from dates"}.get(self.by, "")
-        return f"stamps in {self.unit}{how}"
+        return f"stamps{self.source} in {self.unit}{how}"
 
 
 def clock_of(file: str, stamps: Array, stated: str | None, usual: str = "s") -> Clock:

@@ -24,7 +24,7 @@ from data.formats.results import lines, path as paths
 from data.formats.results.bags import is_table, read_bag
 from data.formats.results.lines import BLOCKS, ENTRIES, ENTRIES_6, EUROC, POSE, TRIANGLE, UNSTAMPED
 from data.formats.results.path import ABSENT, DATES, DIGITS, LOCAL, MIXED, ROWS, WORLD, GivenPath, Manner, Stated
-from data.formats.results.space import UNIT, full, known_only, require_covariances
+from data.formats.results.space import NO_POSE, UNIT, full, known_only, require_covariances
 from data.formats.text import Text, is_row, read_text, split
 from data.formats.wrapped import file_and_word
 from data.questions.examination import in_degrees
@@ -532,7 +532,7 @@ def _planar(
             notes += (f"{unknown} of {len(keep)} poses are blank or NaN, and scored as far as they are known",)
     else:
         if not known.any():
-            raise DataError.at(body.path, f"each of {len(pose)} poses has a NaN; at least one without is needed")
+            raise DataError.at(body.path, NO_POSE.format(len(pose)))
         if not known.all():
             notes += (f"{int((~known).sum())} of {len(pose)} poses have a NaN and are left out",)
         keep = np.flatnonzero(known)[paths.in_order(str(body.path), time[known], pose[known])]

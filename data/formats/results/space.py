@@ -17,6 +17,7 @@ from data.formats.recordings.ros import STILL, Tree, bare, rotation_of
 from data.formats.results.path import CAMERA, LEFT, LOCAL, MIXED, ROTATION, WORLD, GivenPath, Manner, Spatial, in_order
 from data.se2 import Array, wrap_angle
 
+NO_POSE = "each of {} poses has a NaN; one without is needed; --columns NAME.x=COLUMN,... takes other columns"
 LEVEL = 1e-9  # m and rad, smallest reported extent outside the plane
 UNIT = 0.01  # Largest deviation of a quaternion from length 1, and of a rotation matrix from orthonormality
 FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -55,7 +56,7 @@ def on_plane(spatial: Spatial, manner: Manner) -> GivenPath:
     sound = np.isfinite(s.time) & np.isfinite(s.position).all(axis=1) & np.isfinite(s.rotation).all(axis=(1, 2))
     rows, notes = np.flatnonzero(sound), s.notes
     if not len(rows):
-        raise DataError.at(s.file, f"each of {len(s)} poses has a NaN; at least one without is needed")
+        raise DataError.at(s.file, NO_POSE.format(len(s)))
     if len(rows) < len(s):
         first = int(np.flatnonzero(~sound)[0])
         notes += (f"{len(s) - len(rows)} of {len(s)} poses have a NaN and are left out, the first at {s.place(first)}",)

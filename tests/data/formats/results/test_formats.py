@@ -111,7 +111,7 @@ def test_nanoseconds_belong_to_whole_seconds(tmp_path):
 T = "0 0 0 0 0 0 0 1"
 FAULTS = {
     "cut": (f"{T}\n1 0 0 0 0 0\n", ":2: 6 fields; 8 are needed (the file ends here: was it cut off?)"),
-    "nan": ("0 nan 0 0 0 0 0 1\n1 nan 0 0 0 0 0 1\n", ": each of 2 poses has a NaN; at least one without is needed"),
+    "nan": ("0 nan 0 0 0 0 0 1\n1 nan 0 0 0 0 0 1\n", ": each of 2 poses has a NaN; one without is needed; --columns"),
     "back": (f"# TUM\n1{T[1:]}\n{T}\n", ":3: stamp 0.0 is before 1.0"),
     "back, EuRoC": (
         "1403636579763555584,0,0,0,1,0,0,0\n1403636578763555584,0,0,0,1,0,0,0\n", ":2: stamp 14036365787",
