@@ -87,6 +87,7 @@ class Code(StrEnum):
     CORNERS = "corners", INFO
     READ_FROM = "read-from", INFO
     MATCHED = "matched", INFO
+    COVERAGE = "coverage", INFO
     TIME_OFFSET = "time-offset", INFO
     NO_TRUTH = "no-truth", INFO
     ALIGNED_FIRST = "aligned-first", INFO

@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from data.se2 import compose
 from eval.score import main as score
@@ -154,6 +155,7 @@ def test_kitti_is_in_a_cameras_axes_and_of_the_same_length(scored, tmp_path):
     values, asked, said = scored(estimate, kitti(PLACES), "--times", "DIR/times.txt")
     assert values["rmse_position_m"] == pytest.approx(5.0)
     assert ("a camera's axes" in said, asked) == (True, [])
+    assert "of numbers of rows" in scored(tum(PLACES, start=7), tum(PLACES), "--times", "estimate=DIR/times.txt")[2]
     error = scored(kitti(PLACES[:-1]), kitti(PLACES), status=2)
     assert re.search("4 poses without stamps, and 5 of .* --times estimate=FILE", error)
 
@@ -238,6 +240,10 @@ def test_covariances_of_the_truth_alone_are_a_question_and_a_truth_that_tips_ove
     tips = [(math.sin(0.1 * k) * math.sqrt(0.5), math.cos(0.1 * k)) for k in range(len(CURVE))]
     truth = lines((k, x, y, 0, s, s, 0, c) for k, ((x, y), (s, c)) in enumerate(zip(CURVE, tips)))
     assert "no turn of axes explains" in scored(tum(CURVE), truth)[2]
+    t = 0.05 * np.arange(len(WAY))
+    q = Rotation.from_euler("ZYX", np.column_stack([WAY[:, 3], 0.9 * np.sin(t), 0.72 * np.cos(0.7 * t)])).as_quat()
+    mine, *true = (lines(np.column_stack([WAY[:, :3], 0 * t, q[:, [*map(int, k)]]])) for k in ("0123", "0132", "1032"))
+    assert [len(scored(mine, one)[1]) for one in true] == [0, 1]  # headings alone fit the last
     aside = [(k % 3, 0) for k in range(20)]
     line = [lines((k, 2 * k, *yz[::way], 0, 0, 0, 1) for k, yz in enumerate(aside)) for way in (1, -1)]
     assert not [text for text in scored(*line, "--align", "se3")[1] if "verticals" in text]  # which is turned about
@@ -481,6 +487,12 @@ def test_true_poses_that_leap_away_and_back_are_named_with_the_flag_that_leaves_
     _, asked, said = scored(truth, estimate)
     assert not asked  # an estimate may leap
     assert f"poses 300 to {299 + count} of" in said
+
+
+def test_it_is_said_how_much_of_the_truth_is_covered_and_of_the_estimate_in_gaps_of_the_truth(scored):
+    part = np.delete(WAY, np.s_[100:200], axis=0)
+    for *files, lacking in ((part, WAY, ["mine"]), (WAY, part, ["true"]), (WAY, WAY, [])):
+        assert re.findall(r"(\w+).txt, which has 1 gap ", scored(*map(posed, files))[2]) == lacking
 
 
 @pytest.mark.parametrize(("first", "count"), [(0, 5), (0, 100), (-5, 5), (-100, 100), (-1, 1)])

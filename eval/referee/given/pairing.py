@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import scipy
@@ -26,17 +26,19 @@ from data.notice import Code, Notice, notice
 from data.questions.examination import LEAST, heading_unit, paths_otherwise
 from data.questions.readings import TINY, Kind
 from data.se2 import Array, BoolArray, compose, interpolate, rigid_fit, wrap_angle
-from data.timeline import MAX_GAP, truth_at
+from data.timeline import MAX_GAP, truth_at, usual_gap
 from data.truth_windows import leaps
 from eval.referee.consistency import nees
 from eval.referee.errors import aligned_distance, rms
 from eval.referee.given.in_space import NONE, SAME_VERTICAL, SE3, SIM3, YAW, InSpace, Poses, aligning, poses, tilts
+from eval.referee.given.runs import around
 
 HALF = 0.25  # s either side of an instant for its rates, or one and a half steps of the slower path if longer
 MOST = 2**16  # largest number of instants of a path
 TOGETHER = 0.5  # least share of the shorter path in common with the other
 APART = 9.0  # least difference of -2 log-likelihood from any other maximum: 3 standard errors
 WIDE, SLOW = 0.04, 0.01  # most seconds, as a share of the path, that halves differ by; least difference of rates
+COVERED = 0.9  # least share of poses within the other path's of which nothing is said
 EXACT = 1e-8  # least mean squared residual, as a share of the truth's mean square
 
 
@@ -326,6 +328,7 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
         back = first[0] > 0 and last[-1] + 1 < len(pair.estimate)
         yield notice(Code.PATH_OUTLIERS, file=pair.estimate.file, first=first, last=last, back=back)
     t, ours = pair.truth, pair.estimate
+    yield from _coverage(ours, t) if t is not None and t.clock.by != ROWS and placed.any() else ()
     states = t is not None and t.space is not None and t.space.stated.world  # a message, which has room for them
     if t is not None and t.file != ours.file and t.covariance is not None and ours.covariance is None and not states:
         yield notice(Code.PATH_SWAPPED, estimate=ours.file, truth=t.file)
@@ -336,11 +339,24 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
             yield notice(Code.PATH_SHIFT, file=ours.file, other=t.file, flags=(f"--time-offset NAME={k}",))
     files = [about_file(f) for f in (pair.estimate, pair.truth) if f is not None]
     alone = [question for asked in files for question in asked]  # which explain what both say together
+    tilted = [] if t is None or pair.space is None else [*_tilt(ours, t, pair.space)]
     found = [*_otherwise(pair, known, placed)] if placed.sum() >= FEW and not alone else []
+    if any(q.named.get("tips") for q in tilted):  # headings alone do not explain rotations that differ
+        found = [q for q in found if "theta" not in str(q.named["of"]) or cast("float", q.named["fits"]) < 2.0 * FITS]
     rows = known if known.any() else placed
     yield from found or (_clock_and_frame(pair, rows) if rows.sum() >= PLENTY and not alone else ())
-    if pair.space is not None and pair.truth is not None:
-        yield from _tilt(pair.estimate, pair.truth, pair.space)
+    yield from tilted
+
+
+def _coverage(*paths: GivenPath) -> Iterator[Notice]:
+    """Whether a tenth of the poses of one of two paths is where the other has none."""
+    files = [(f.file, f.time[np.isfinite(f.pose[:, :2]).all(axis=1)]) for f in paths]
+    least = max(usual_gap(time, math.inf) for _, time in files)
+    for (file, time), (other, at) in (files, files[::-1]):
+        gaps, share = np.diff(np.clip(time, at[0], at[-1]), prepend=at[0], append=at[-1]), around(at, time, least)[2]
+        if (inside := float(np.isfinite(share).mean())) < COVERED and gaps.max() > least:
+            said = dict[str, Any](gaps=int((gaps > least).sum()), longest=float(gaps.max()), least=least, poses=len(at))
+            yield notice(Code.COVERAGE, file=file, other=other, share=inside, **said)
 
 
 def _leaps(pair: Pair, placed: BoolArray) -> tuple[BoolArray, list[Notice]]:
@@ -452,10 +468,7 @@ def _otherwise(pair: Pair, known: BoolArray, placed: BoolArray) -> Iterator[Noti
         k, e = found
         r = e.readings[0]
         flag = f"--unit NAME={r.unit}" if r.kind == Kind.UNIT else "--align sim3" if r.kind == Kind.SCALE else ""
-        yield notice(
-            Code.PATH_READING, file=files[k][1].file, kind=r.kind, of=r.of, unit=r.unit, number=r.number,
-            stated=e.stated, fits=e.fits, flags=(flag,) if flag else (),
-        )  # fmt: skip
+        yield _reading(files[k][1], r.kind, r.of, e.stated, e.fits, r.number, unit=r.unit, flag=flag)
 
 
 ROUNDING, CERTAIN = 1e-4, 5.0  # Error over the path's size that files round to; least standard errors of an offset
@@ -471,7 +484,7 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         return
     mirrored, (far, placed) = rms(aligned_distance(ours[:, :2] * [1, -1], theirs[:, :2])), _displaced(ours, theirs)
     if OTHER_FRAME * mirrored < fitted and fitted > FITS * size:  # where the robot hardly turns
-        yield _reading(pair, Kind.SIDE, "truth's mirror", fitted / size, mirrored / size)
+        yield _reading(pair.estimate, Kind.SIDE, "truth's mirror", fitted / size, mirrored / size)
         return
     times, path, there, truth = time, ours, time, theirs
     if pair.truth is not None and not pair.aligned:  # all of both, not what their stamps match
@@ -492,14 +505,14 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         aligned = rms(aligned_distance(own[:, :2], at[:, :2]))
         if aligned < (LATE * rms(aligned_distance(own[:, :2], theirs[inside, :2])) if by_speed else fitted):
             if far > LEAST[Kind.PLACED] and placed < LATE * aligned:
-                yield _reading(pair, Kind.PLACED, "truth", fitted / size, placed / size, far)
+                yield _reading(pair.estimate, Kind.PLACED, "truth", fitted / size, placed / size, far)
                 return
             flags = (f"--time-offset NAME={round(seconds, 3):.9g}",)
             yield notice(Code.PATH_CLOCK, file=pair.estimate.file, stated=fitted, fits=aligned, flags=flags)
             ours, theirs, fitted = own, at, aligned
             direct = rms(np.hypot(*(ours - theirs)[:, :2].T))
     elif far > LEAST[Kind.PLACED] and placed < LATE * fitted:
-        yield _reading(pair, Kind.PLACED, "truth", fitted / size, placed / size, far)
+        yield _reading(pair.estimate, Kind.PLACED, "truth", fitted / size, placed / size, far)
         return
     mean = _mean_nees(pair.estimate, pair.at)
     if not pair.aligned and direct > max(OTHER_FRAME * fitted, FITS * size) and not mean < POOR:
@@ -516,11 +529,12 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
 TRIED, SEEN = 1000, 0.25  # offsets that are tried, of as many poses at most; least share of them with a truth then
 
 
-def _reading(pair: Pair, kind: str, of: str, stated: float, fits: float, number: float = math.nan) -> Notice:
-    return notice(
-        Code.PATH_READING, file=pair.estimate.file, kind=kind, of=of, unit="", number=number, stated=stated, fits=fits,
-        flags=(),
-    )  # fmt: skip
+def _reading(
+    path: GivenPath, kind: str, of: str, stated: float, fits: float, number: float = math.nan,
+    *, unit: str = "", flag: str = "",
+) -> Notice:  # fmt: skip
+    said = dict[str, Any](stated=stated, fits=fits, number=number, unit=unit, flags=(flag,) if flag else ())
+    return notice(Code.PATH_READING, file=path.file, kind=kind, of=of, **said)
 
 
 def _displaced(ours: Array, theirs: Array) -> tuple[float, float]:
