@@ -88,6 +88,7 @@ class Code(StrEnum):
     READ_FROM = "read-from", INFO
     MATCHED = "matched", INFO
     COVERAGE = "coverage", INFO
+    TRACK_LOST = "track-lost", INFO
     TIME_OFFSET = "time-offset", INFO
     NO_TRUTH = "no-truth", INFO
     ALIGNED_FIRST = "aligned-first", INFO

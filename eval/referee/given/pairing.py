@@ -39,6 +39,7 @@ TOGETHER = 0.5  # least share of the shorter path in common with the other
 APART = 9.0  # least difference of -2 log-likelihood from any other maximum: 3 standard errors
 WIDE, SLOW = 0.04, 0.01  # most seconds, as a share of the path, that halves differ by; least difference of rates
 COVERED = 0.9  # least share of poses within the other path's of which nothing is said
+LEAPT = 2.0  # least ratio of errors after and before a track is lost
 EXACT = 1e-8  # least mean squared residual, as a share of the truth's mean square
 
 
@@ -327,6 +328,7 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
         first, last = zip(*own, strict=True)
         back = first[0] > 0 and last[-1] + 1 < len(pair.estimate)
         yield notice(Code.PATH_OUTLIERS, file=pair.estimate.file, first=first, last=last, back=back)
+    yield from _track_lost(pair, np.flatnonzero(placed))
     t, ours = pair.truth, pair.estimate
     yield from _coverage(ours, t) if t is not None and t.clock.by != ROWS and placed.any() else ()
     states = t is not None and t.space is not None and t.space.stated.world  # a message, which has room for them
@@ -357,6 +359,20 @@ def _coverage(*paths: GivenPath) -> Iterator[Notice]:
         if (inside := float(np.isfinite(share).mean())) < COVERED and gaps.max() > least:
             said = dict[str, Any](gaps=int((gaps > least).sum()), longest=float(gaps.max()), least=least, poses=len(at))
             yield notice(Code.COVERAGE, file=file, other=other, share=inside, **said)
+
+
+def _track_lost(pair: Pair, rows: IntArray) -> Iterator[Notice]:
+    """The first of rows (n,) from which on all errors exceed twice those before by more than the truth's steps."""
+    ours, theirs = pair.estimate.pose[rows, :2], pair.at[rows, :2]
+    if pair.space is not None:
+        ours, theirs = poses(pair.space.estimate).position[rows], pair.space.truth.position[rows]
+    off, step = (np.linalg.norm(d, axis=1) for d in (ours - theirs, np.diff(theirs, axis=0)))
+    before, after = np.maximum.accumulate(off), np.minimum.accumulate(off[::-1])[::-1]
+    least = np.maximum(LEAPT * before, before + step.max(initial=0.0))[PLENTY - 1 : -FEW]
+    for k in PLENTY + np.flatnonzero(after[PLENTY : 1 - FEW] > least)[:1]:
+        said = dict[str, Any](before=float(before[k - 1]), after=float(after[k]), rmse=rms(off[:k]))
+        said |= {"file": pair.estimate.file, "stamp": float(pair.estimate.time[rows[k]])}
+        yield notice(Code.TRACK_LOST, int(rows[k]), **said)
 
 
 def _leaps(pair: Pair, placed: BoolArray) -> tuple[BoolArray, list[Notice]]:
