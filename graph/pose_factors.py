@@ -94,7 +94,8 @@ def fix_factors(
             z = compose(z, inverse(np.array([*source.lever, source.rotation])))
             turn = -pose_measurements.expected_fix(z, kind, source)[1] @ world_from_body(float(z[2]))
         back = np.linalg.inv(turn)
-        (root,), _ = invertible_roots((back @ C @ back.T)[None], partial(_named, source.name, frame), "its inverse")
+        named = partial("fix of {} at frame {}".format, source.name, frame)
+        (root,), _ = invertible_roots((back @ C @ back.T)[None], named, "its inverse")
         model, key = with_loss(noise.Gaussian.SqrtInformation(root), loss), X(frame)
         if kind == pose_measurements.FixKind.POSE:
             factor: Factor = gtsam.PriorFactorPose2(key, pose2(z), model)
@@ -106,10 +107,6 @@ def fix_factors(
             factor = gtsam.CustomFactor(model, [key], _antenna(key, z[:2].copy(), source))
         found.append(PoseFactor((frame,), int(fixes.row[i]), factor, turn @ np.linalg.inv(root), entries))
     return found
-
-
-def _named(source: str, frame: int, _: int) -> str:
-    return f"fix of {source} at frame {frame}"
 
 
 def _antenna(

@@ -232,7 +232,9 @@ def _blame(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> Blame:
         mispaired = attribution.decision_errors({n: [s.counts[n] for s in made.twins if n in s.counts] for n in names})
     findings = _head_first(findings, made.indicated) + mispaired + _estimators(made.twins)
     cause = attribution.NOTHING
-    if objected and _broken(made.twins):
+    # the smoother is lost on most twins, though their noise is as stated: the solution itself is broken
+    nees = [s.nees[PLAIN, "final"] for s in made.twins if (PLAIN, "final") in s.nees]
+    if objected and nees and float(np.median(nees)) > NEES_LIMIT:
         cause = attribution.UNTELLABLE
     elif mispaired and not objected:
         pass  # a method's errors on this geometry with everything as stated: no finding about the log
@@ -267,12 +269,6 @@ def _leading(found: Sequence[tuple[float, Finding]]) -> list[tuple[float, Findin
     if top is not None and top.kind == explanations.CORRELATION:
         most *= (1.0 + top.size) / max(1.0 - top.size, 0.02)  # gains of systematic errors are so many times too large
     return [x for x in found if x[1].kind == "systematic" and x[0] >= FIRST * most and not smaller] or [*found]
-
-
-def _broken(twins: Sequence[Sample]) -> bool:
-    """Whether the smoother is lost on most twins, though their noise is as stated: the solution itself is broken."""
-    nees = [s.nees[PLAIN, "final"] for s in twins if (PLAIN, "final") in s.nees]
-    return bool(nees) and float(np.median(nees)) > NEES_LIMIT
 
 
 def _estimators(twins: Sequence[Sample]) -> list[Finding]:

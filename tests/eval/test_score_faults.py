@@ -497,11 +497,8 @@ def test_it_is_said_how_much_of_the_truth_is_covered_and_of_the_estimate_in_gaps
 
 def test_it_is_said_where_a_track_is_lost_and_not_of_drift(scored):
     noisy, k = WAY + np.random.default_rng(0).normal(0.0, [0.0, 0.01, 0.01, 0.005], WAY.shape), np.arange(len(WAY))
-    for off, pose in (
-        (2.0 * (k >= 400) + 0.1 * np.maximum(k - 400, 0), ["400"]),
-        (0.01 * k, []),
-        (2.0 * (k > 598), []),
-    ):
+    lost = 2.0 * (k >= 400) + 0.1 * np.maximum(k - 400, 0)
+    for off, pose in ((lost, ["400"]), (0.01 * k, []), (2.0 * (k > 598), [])):
         said = scored(posed(noisy + np.outer(off, [0.0, 1.0, 0.0, 0.0])), posed(WAY))[2]
         assert re.findall(r"from pose (\d+) of .* its track is lost", said) == pose
 

@@ -145,7 +145,8 @@ def settings_by_log(options: Options, trials: Sequence[Trial]) -> dict[str, dict
     if options.selection.lab is None:
         return {}
     stated = {name: TABLE[name].of(options) for name in SETTINGS}
-    shared = {name: _plain(value) for name, value in stated.items() if value != TABLE[name].default}
+    changed = {name: value for name, value in stated.items() if value != TABLE[name].default}
+    shared = {n: "none" if v is None else list(v) if isinstance(v, tuple) else v for n, v in changed.items()}
     found: dict[str, dict[str, object]] = {}
     tasks: dict[str, list[str]] = {}
     for trial in (t for t in trials if t.variant_of is None):
@@ -164,7 +165,3 @@ def _methods(trial: Trial, options: Options) -> dict[str, object]:
     groups, stated = list(ran.values()), options.selection.estimator
     shared = [e for e in groups[0] if all(e in g for g in groups)]
     return {"association": list(ran), "estimator": shared if stated == DEFAULT_ESTIMATORS else list(stated)}
-
-
-def _plain(value: object) -> object:
-    return "none" if value is None else list(value) if isinstance(value, tuple) else value
