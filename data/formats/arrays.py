@@ -57,7 +57,7 @@ def _json(path: Path, _: int) -> Any:
     try:
         return json.loads(text)
     except json.JSONDecodeError:
-        with suppress(SyntaxError, ValueError):
+        with suppress(SyntaxError, ValueError, MemoryError, RecursionError):  # the last two of deep nests
             each = [_printed(line) for line in text.splitlines() if line.strip()]
             return each if len(each) > 1 else each[0]
         raise
