@@ -5,7 +5,7 @@ import re
 import struct
 from collections import Counter
 from collections.abc import Sequence
-from itertools import pairwise, zip_longest
+from itertools import islice, pairwise, zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -212,7 +212,7 @@ def _pairs(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
     return [(1, names), *rows] if rows else []
 
 
-NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+NUMBER = r"[-+]?(?:\d++\.?\d*+|\.\d++)(?:[eE][-+]?\d++)?"  # possessive: a field of many digits takes no longer
 SEVERAL = rf"{NUMBER}(?: +{NUMBER})*", rf"[\[(]\s*({NUMBER}(?:[\s,]+{NUMBER})*)\s*[\])]"
 PAIR = rf"(?<!\w)([A-Za-z_]\w*)\s*[:=]\s*(?:({SEVERAL[0]})(?![\w.])|{SEVERAL[1]})"
 
@@ -308,7 +308,7 @@ def _of_topic(lines: list[tuple[int, str]], topic: str) -> list[tuple[int, str]]
 
 def kinds_of(path: Path, rows: Sequence[Sequence[str]]) -> str:
     """What to type where rows hold one of few words each, as the names of sources: of one kind; else nothing."""
-    for column in zip_longest(*rows, fillvalue=""):
+    for column in islice(zip_longest(*rows, fillvalue=""), LEADING):
         kinds = Counter(column)
         some = [kind for kind in kinds if kind and kinds[kind] > 1]
         whole = sum(kinds[kind] for kind in some) >= len(rows) - 1  # but for a header

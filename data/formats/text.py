@@ -180,10 +180,9 @@ def _rows(path: Path, stated: Collection[str] = (), odometry: int = 0) -> Text:
     if not any(line.strip(" ;,|\t") for _, line in plain):
         raise DataError.at(path, f"no rows{f' of {word}' * bool(word)}; at least one is needed")
     number, separator = [i for i, _ in plain], _separator([line for _, line in (*plain[:50], *plain[50:-1][-1:])])
-    # commas within lists separate nothing
     if separator == "," and any(re.search(r"[\[(]| sec", line) for _, line in plain):
         joined = partial(re.sub, CELLS, lambda c: c[0] if c[0][0] == '"' else re.sub(",| sec", " ", c[0]))
-        plain = [(i, joined(line)) for i, line in plain]
+        plain = [(i, joined(line)) for i, line in plain]  # commas within lists separate nothing
     rows = split([line for _, line in plain], separator)
     if len(rows) != len(plain):
         open_at = next((i for i, line in plain if line.count('"') % 2), number[0])
@@ -251,13 +250,15 @@ def _table(text: Text, stated: Collection[str] = (), odometry: int = 0, *, seen:
         number = np.repeat(number, [len(row) // each for row in rows])
         rows = [(row[0], *row[k : k + each]) for row in rows for k in range(1, len(row), each)]
         said.append(f"inferred: a row is a stamp and any number of observations of {each} numbers each")
-    if names and len(names) + SLOTS < len(rows[0]):
+    if names and len(names) + SLOTS < len(rows[0]) <= LONG:
         names = names if names[-1] else names[:-1]
         alike = text.commas and len({*map(len, rows)}) == 1 and is_row(rows[0])
         if len(listed := [n for n in names if n in LISTED] or [*names[-1:]] * alike) == 1:  # one name for all of a list
             at, count = names.index(listed[0]), len(rows[0]) - len(names) + 1
             said.append(f"inferred: {listed[0]} stands for {count} columns, {listed[0]}_1 to {listed[0]}_{count}")
             names = (*names[:at], *(f"{listed[0]}_{k}" for k in range(1, count + 1)), *names[at + 1 :])
+    longest = max(map(len, rows))
+    names = names[:longest] if names and not any(names[longest:]) else names  # blank names behind all fields
     width = len(rows[0]) if names is None else len(names)
     early = ends_early(map(len, rows), width, 1) if names is not None and text.separator != " " else set()
     if early:
@@ -313,7 +314,7 @@ def _lists(
         counts, most = {len(part) for some in parts for part in some}, max(map(len, parts))
         if len(counts) != 1 or not all(is_number(v) for some in parts for part in some for v in part):
             continue
-        if (width := counts.pop()) == 1 and most == 1:
+        if (width := counts.pop()) > LONG or width == most == 1:
             continue
         shape, stem, blank = tuple(map(len, parts)), names[j] if names else str(j + 1), [("",) * width]
         if most > 1 and shape not in below:
@@ -334,7 +335,7 @@ def _lists(
     return names, rows, number
 
 
-MANY = 50  # First rows, of which one shows whether a column holds lists
+MANY, LONG = 50, 10_000  # First rows, of which one shows whether a column holds lists; most numbers of a list
 
 
 def _uncounted(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:

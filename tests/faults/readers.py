@@ -102,7 +102,7 @@ def open_logs() -> list[Files]:
 
 def named(folder: Path, said: str) -> None:
     """One file of a log folder is named, and the line of a fault in a table."""
-    (name,) = [name for name in FILES if said.startswith(f"{folder / name}:")]
+    (name,) = [n for n in FILES if said.startswith(f"{folder / n}:")] or ["log.toml"] * (": a folder of" in said)
     if name.endswith(".csv") and (folder / name).exists() and "sigma in [sensor]" not in said:
         assert re.match(rf"{re.escape(str(folder / name))}:\d+", said), said
 

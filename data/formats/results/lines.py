@@ -86,13 +86,13 @@ def layout_of(rows: Sequence[Sequence[str]]) -> str:
 
 def _off(P: Array) -> Array:
     """How far the rotations of poses (n, 3, 3 or 4) are from any (n,)."""
-    R = P[:, :, :3]
-    return np.asarray(np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0.0))
+    R, known = P[:, :, :3], np.nan_to_num(P[:, :, :3], posinf=0.0, neginf=0.0)
+    return np.asarray(np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(known) < 0.0))
 
 
 def turns_in(rows: Array) -> int:
     """The first of nine columns of rows (n, k) that are rotation matrices; -1 without such."""
-    begins = range(rows.shape[1] - 8)
+    begins = range(min(rows.shape[1], 100) - 8)  # of a pose among few other numbers
     return next((k for k in begins if np.median(_off(rows[:, k : k + 9].reshape(-1, 3, 3))) < UNIT), -1)
 
 

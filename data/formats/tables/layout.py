@@ -180,8 +180,8 @@ def named_alike(seen: TextTable, known: TextTable) -> tuple[str, str] | None:
     for name, ids in zip(known.names, zip(*known.rows, strict=True), strict=True):
         distinct = len({*ids}) == len(ids) and not any("." in field and is_number(field) for field in ids)
         for own, fields in zip(seen.names, zip(*seen.rows, strict=True), strict=True) if distinct else ():
-            told = own == name or not all(map(is_number, ids)) or CALLED & {*words_of(own)[0]}
-            if told and 1 < len(used := {*fields} - {""}) <= len(fields) / AGAIN and used <= {*ids}:
+            again = 1 < len(used := {*fields} - {""}) <= len(fields) / AGAIN and used <= {*ids}
+            if again and (own == name or not all(map(is_number, ids)) or CALLED & {*words_of(own)[0]}):
                 pairs.append((own, name))
     return pairs[0] if len(pairs) == 1 and seen.named and known.named else None
 
