@@ -314,7 +314,7 @@ def _lists(
         counts, most = {len(part) for some in parts for part in some}, max(map(len, parts))
         if len(counts) != 1 or not all(is_number(v) for some in parts for part in some for v in part):
             continue
-        if (width := counts.pop()) > LONG or width == most == 1:
+        if max(width := counts.pop(), most) > LONG or width == most == 1:
             continue
         shape, stem, blank = tuple(map(len, parts)), names[j] if names else str(j + 1), [("",) * width]
         if most > 1 and shape not in below:
