@@ -86,8 +86,8 @@ def layout_of(rows: Sequence[Sequence[str]]) -> str:
 
 def _off(P: Array) -> Array:
     """How far the rotations of poses (n, 3, 3 or 4) are from any (n,)."""
-    R, known = P[:, :, :3], np.nan_to_num(P[:, :, :3], posinf=0.0, neginf=0.0)
-    return np.asarray(np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(known) < 0.0))
+    R = np.where(np.abs(P) < LARGEST, P, np.nan)[:, :, :3]
+    return np.asarray(np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max((1, 2)) + (np.linalg.det(np.nan_to_num(R)) < 0))
 
 
 def turns_in(rows: Array) -> int:
