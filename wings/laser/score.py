@@ -158,9 +158,8 @@ def scale_of_wheels(run: LaserRun, log: Log) -> Notice | None:
     factors = np.full(2, np.nan)
     for k, (a, b) in enumerate(((np.hypot(*told[:, :2].T), np.hypot(*found[:, :2].T)), (told[:, 2], found[:, 2]))):
         some = (np.abs(b) > LEAST) & (a != 0.0)
-        low, middle, high = (
-            np.quantile(b[some] / a[some], (0.25, 0.5, 0.75)) if some.sum() >= STEPS else factors[[k] * 3]
-        )
+        ratios = b[some] / a[some] if some.sum() >= STEPS else [np.nan]
+        low, middle, high = np.quantile(ratios, (0.25, 0.5, 0.75))
         factors[k] = middle if min(middle / low, high / middle) < ALIKE else np.nan
     far = np.maximum(factors, 1.0 / factors) > FACTOR
     if not far.any():
@@ -176,8 +175,8 @@ def _rescaled(source: Mapping[str, Any], way: float, turn: float, wide: float) -
     """
     if wheels := source.get("wheels"):
         metres = ",".join(f"{way * m:.4g}" for m in wheels["metres"])
-        track = f"--track-width={wheels['track_width'] * wide:.4g}"
-        return (f"--metres-per-tick={metres}", *[track] * math.isfinite(wide))
+        track = wheels["track_width"] * wide
+        return (f"--metres-per-tick={metres}", *[f"--track-width={track:.4g}"] * (0.0 < track < math.inf))
     units, by = Units(dict(source.get("unit", {}))), {"length": (way, "m"), "angle": (turn, "rad")}
     each = []
     for q in KINDS.get(str(source.get(ODOMETRY_KIND)), ()):

@@ -46,7 +46,7 @@ STAMPED = ("velocities", "car")  # Kinds that need stamps, and whose noise is of
 class Wheels:
     """Wheels of ticks."""
 
-    track_width: float  # m; of a car the distance between its axles
+    track_width: float  # m; of a car the distance between its axles; 0: a heading tells the turns
     metres: tuple[float, float]  # per tick, left and right
     each: bool = False  # each row counts from the one before
     wrap: int = 0  # number of ticks at which a counter restarts; 0: never
@@ -267,7 +267,8 @@ def other_rate(file: TextTable, columns: Columns, odometry: Odometry, wheels: Wh
     rows, turn, role = np.searchsorted(file.line, odometry.table.line), odometry.motion[:, -1], "odometry"
     own = turn if odometry.velocities else np.diff(np.unwrap(turn)) / np.diff(odometry.time)
     free = [n for n in file.names if re.search(TURN_RATE, n) and (file.path, n) not in columns.read]
-    for name in free if (odometry.velocities or wheels) and len(rows) == len(turn) > MANY else ():
+    told = odometry.velocities or (wheels is not None and wheels.track_width > 0.0)
+    for name in free if told and len(rows) == len(turn) > MANY else ():
         with suppress(DataError, UsageError):  # no numbers, or of another unit
             unit, si = factor("angle/time", words_of(name)[1] or "rad/s", name), columns.units.factor(role, "omega")
             other = unit * file.numbers(file.names.index(name), np.ones(len(file), bool))[rows]
@@ -332,7 +333,7 @@ def _without_strays(table: Table, lines: str, notes: list[str], kind: str) -> Ta
 PAUSE, LONG = 1000.0, 100.0  # Times the usual interval, and s, that rows of one drive are not apart
 
 
-def _rolled(ticks: Array, wheels: Wheels, time: Array, heading: Array | None = None) -> Array:
+def _rolled(ticks: Array, wheels: Wheels, time: Array, theta: Array | None = None) -> Array:
     """Poses (K, 3) of a two-wheeled robot from its ticks (K, 2), left and right: arcs, of its headings if stated."""
     turned = ticks.copy() if wheels.each else np.diff(ticks, axis=0, prepend=ticks[:1])
     turned[0] = 0.0
@@ -341,9 +342,8 @@ def _rolled(ticks: Array, wheels: Wheels, time: Array, heading: Array | None = N
     if wheels.wrap:
         turned = (turned + 0.5 * wheels.wrap) % wheels.wrap - 0.5 * wheels.wrap
     way = turned * np.array(wheels.metres)
-    distance, turn = way.mean(axis=1), (way[:, 1] - way[:, 0]) / wheels.track_width
-    turn = turn if heading is None else np.diff(np.unwrap(heading), prepend=heading[:1])
-    return se2.dead_reckoned(np.zeros(3), se2.along_arcs(distance, turn))
+    turn = np.diff(way)[:, 0] / wheels.track_width if theta is None else np.diff(np.unwrap(theta), prepend=theta[:1])
+    return se2.dead_reckoned(np.zeros(3), se2.along_arcs(way.mean(axis=1), turn))
 
 
 @dataclass(frozen=True)

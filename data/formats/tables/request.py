@@ -353,7 +353,7 @@ def settle(given: Given) -> Wanted:
     prior, poses = given.get("prior"), by_sensor(given.get("sensor-pose", []), "sensor-pose")
     map_pose, truth_pose = (numbers_of(given, f"{of}-transform") for of in ("map", "truth"))
     return Wanted(
-        files=files, texts=texts, columns=columns, kind=kind, wheels=_wheels(given, kind),
+        files=files, texts=texts, columns=columns, kind=kind, wheels=_wheels(given, kind, columns),
         noise=_noise(given, kind, [] if blind else columns.notes),  # not that of an unknown motion
         model=INTEGRATED[table_files.one_of(given, "integrate", tuple(INTEGRATED))],
         sensors=sensors_of(given, texts, columns, kind),
@@ -645,8 +645,7 @@ def _rates(p: _Parts, given: Given) -> Given:
     others = [r for r in ("truth", "fixes") if r in p.texts and p.find(r, ("theta",))]
     if {"theta", "odometry.theta"} & {*p.columns.given} and not others:
         p.columns.given = {"odometry.theta" if q == "theta" else q: n for q, n in p.columns.given.items()}
-        p.infer("the heading tells the turns, the wheels the way ahead alone, whatever --track-width is", "odometry")
-        given = {"track-width": "1", **given}
+        p.infer("the heading tells the turns, the wheels the way ahead alone", "odometry")
     if {"ticks", "odometry-kind"} & {*given}:
         return given
     name = p.texts["odometry"].names[p.columns.require(p.texts["odometry"], "odometry", ("left",))[0]]
@@ -751,7 +750,7 @@ def _offsets(given: Given, files: Mapping[str, Path], sensors: Collection[str]) 
     return found
 
 
-def _wheels(given: Given, kind: str) -> Wheels | None:
+def _wheels(given: Given, kind: str, columns: Columns) -> Wheels | None:
     ticks = dict.fromkeys(("track-width", "metres-per-tick", "tick-wrap", "ticks"), ("ticks", "wheel ticks"))
     for flag, (of, what) in {"wheel-base": ("car", "speed and steering"), **ticks}.items():
         if flag in given and kind != of:
@@ -761,14 +760,15 @@ def _wheels(given: Given, kind: str) -> Wheels | None:
         return Wheels(float(base[0]), (1.0, 1.0))
     if kind != "ticks":
         return None
-    if "track-width" not in given or "metres-per-tick" not in given:
+    turned = columns.stated("odometry", ("theta",))
+    if "metres-per-tick" not in given or not (turned or "track-width" in given):
         raise UsageError(motion.SAID["ticks"])
-    width = float(_numbers(given, "track-width", ("length",), "the distance between the wheels")[0])
+    width = 0.0 if turned else float(_numbers(given, "track-width", ("length",), "the distance between the wheels")[0])
     text = given["metres-per-tick"]
     metres = table_files.numbers(
         text, ("length",) * (2 if len(table_files.words(text)) == 2 else 1), "metres-per-tick", "metres a tick"
     )
-    if width <= 0.0 or (metres == 0.0).any():
+    if (width <= 0.0 and not turned) or (metres == 0.0).any():
         raise UsageError(f"--track-width {width:g} --metres-per-tick {text}: wheels apart, that move, are needed")
     wrap = str(given.get("tick-wrap", "0"))
     if not wrap.isdecimal():

@@ -100,7 +100,7 @@ def test_speeds_of_wheels_need_their_distance_alone(made, refused, tmp_path):
     words = ("--columns", "left=esc_3,right=esc_4,theta=esc_5", "--metres-per-tick=-0.5,0.5", "--frames", "odometry")
     log, said = made({"esc.csv": text}, *words)
     assert se2.dead_reckoned(np.zeros(3), log.recorded.increments.mean) == pytest.approx(POSE)
-    assert "esc stands for 5 columns" in said
+    assert ("esc stands for 5 columns" in said, log.source["wheels"]["track_width"]) == (True, 0.0)
 
 
 @pytest.mark.parametrize("names", ["wheel_left_pos,wheel_right_pos", "message.encoders.left,wr", "v,w,enc_l,enc_r"])
