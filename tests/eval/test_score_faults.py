@@ -492,7 +492,7 @@ def test_true_poses_that_leap_away_and_back_are_named_with_the_flag_that_leaves_
 def test_it_is_said_how_much_of_the_truth_is_covered_and_of_the_estimate_in_gaps_of_the_truth(scored):
     part = np.delete(WAY, np.s_[100:200], axis=0)
     for *files, lacking in ((part, WAY, ["mine"]), (WAY, part, ["true"]), (WAY, WAY, [])):
-        assert re.findall(r"(\w+).txt, which has 1 gap ", scored(*map(posed, files))[2]) == lacking
+        assert re.findall(r"(\w+).txt covers .*: it has 1 gap ", scored(*map(posed, files))[2]) == lacking
 
 
 def test_it_is_said_where_a_track_is_lost_and_not_of_drift(scored):
@@ -500,7 +500,7 @@ def test_it_is_said_where_a_track_is_lost_and_not_of_drift(scored):
     lost = 2.0 * (k >= 400) + 0.1 * np.maximum(k - 400, 0)
     for off, pose in ((lost, ["400"]), (0.01 * k, []), (2.0 * (k > 598), [])):
         said = scored(posed(noisy + np.outer(off, [0.0, 1.0, 0.0, 0.0])), posed(WAY))[2]
-        assert re.findall(r"from pose (\d+) of .* its track is lost", said) == pose
+        assert re.findall(r"from pose (\d+) of .* the track is lost", said) == pose
 
 
 @pytest.mark.parametrize(("first", "count"), [(0, 5), (0, 100), (-5, 5), (-100, 100), (-1, 1)])

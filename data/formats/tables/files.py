@@ -680,7 +680,8 @@ class Columns:
         if role in ("odometry", "truth") and "t" in values and not {"dx", "left"} & {*values}:  # which add up
             back = values["t"] < np.fmax.accumulate(values["t"])
             if 0.0 < back.sum() < FEW * len(back):
-                self.notes.append(f"{file.path.name}: {counted(int(back.sum()), f'{role} row')} back in time: left out")
+                said = f"{counted(int(back.sum()), f'{role} row')} with stamps before an earlier row's: left out"
+                self.notes.append(f"{file.path.name}: {said}")
                 table = table.part(np.flatnonzero(~back))
         return table, int(empty.sum())
 

@@ -635,7 +635,7 @@ def _close(done: Updated, nis: float, likelihood: float, white: Array) -> bool:
 
 SIGNATURES = "one of (prior, sensor, options) does SLAM, of (prior, sensor, map, options) localization"
 VERBS = ("predict", "update", "estimate")  # required methods
-OF_VERBS = f"with {', '.join(VERBS)} (docs/extending.md); of one with other states or sensors, slamref score many runs"
+OF_VERBS = f"with {', '.join(VERBS)} (docs/extending.md); of other states or sensors: slamref score, of many runs"
 
 
 class CannotError(Exception):

@@ -212,7 +212,7 @@ def test_edges_alone_and_two_files_without_tags_are_the_same_graph(written, tmp_
     for name, text, what in (
         (v, "0,0,0,0\n1,1,0,0", "EDGE_SE2.csv:3: EDGE_SE2: vertex 2 is missing"),
         (v, "id,theta,x,y\n0,0,0,0", "VERTEX_SE2.csv:1: columns id, theta, x, y; rows without tags are id x y theta"),
-        (f"{folder}/w.g2o", "", "3 files that may be of graphs (EDGE_SE2.csv, VERTEX_SE2.csv, w.g2o); one is needed"),
+        (f"{folder}/w.g2o", "", "3 files that may hold graphs (EDGE_SE2.csv, VERTEX_SE2.csv, w.g2o); one is needed"),
     ):
         pathlib.Path(name).write_text(text)
         assert what in refused(main, [str(folder)])
