@@ -185,7 +185,9 @@ def test_rows_below_heads_are_a_scan_or_a_pose_each_and_a_heading_may_be_0(read,
     assert log.recorded.increments.mean[1:] == pytest.approx(np.tile([0.5, 0.0, 0.0], (19, 1)))
     assert "a.csv: inferred: 20 rows as 0,1 are heads" in said
     assert read_path("a.csv").pose[:, 0] == pytest.approx(0.5 * np.arange(20))
-    assert "of places without headings of what does not turn --columns odometry.theta=0" in unread(files, *words)
+    assert "for places without headings of a robot that does not turn type --columns odometry.theta=0" in unread(
+        files, *words
+    )
 
 
 def telegram(k, far):
